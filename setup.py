@@ -79,12 +79,13 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 
 # What renders on devices, and runs kernels on cards: it calls the renderer for plain numbers, which that module alone
 # has.
-OF_NUMBERS = ("device_derivative", "device_film", "device_light", "device_outputs", "device_paths")
-OF_NUMBERS += ("device_scene", "device_tape", "scene_facts")
+OF_NUMBERS = ("device_boundary", "device_boundary_paths", "device_derivative", "device_film", "device_light")
+OF_NUMBERS += ("device_outlines", "device_outputs", "device_paths", "device_scene", "device_tape", "device_tile")
+OF_NUMBERS += ("scene_facts",)
 ON_CARDS = ("cards", "compiler", "compiling_launcher", "cuda_launcher", "kernel_cache", "sha256")
 
 # What the native tests do not call, and what that alone needs: a fifth of their compilation.
-NOT_TESTED = ("render_aovs", "render_boundary", "render_response", "revisit", "upsampling")
+NOT_TESTED = ("render_aovs", "render_response", "upsampling")
 OF_OUTPUTS = ("aovs", "bsdf_aovs", "outputs")  # which are tested on devices
 
 # From this version on clang comes before GCC 12: packets are compiled in 0.63 of the time and run in 0.9 to 0.95 of it.

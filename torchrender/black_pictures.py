@@ -62,7 +62,12 @@ def _reason(
         for first, size in zip(camera.film.window[:2], camera.film.window[2:], strict=True)
     )
     places = torch.stack([g.reshape(-1) for g in torch.meshgrid(columns, rows, indexing="xy")], 1)
-    rays = camera.rays(places)  # which lie where the camera does
+    of_distant = {}
+    if camera.type == "distant":  # whose one pixel sees the whole scene, through its lens
+        box = torch.tensor(native.handle.bounding_box(), dtype=native.dtype).reshape(2, 3)
+        lens = (torch.arange(GRID) + 0.5) / GRID
+        of_distant = {"lens": torch.cartesian_prod(lens, lens), "bounds": box}
+    rays = camera.rays(places, **of_distant)  # which lie where the camera does
     origins, directions, lengths = (numbers_on_host(t) for t in (rays.origins, rays.directions, rays.tmax))
     seen = find_hits(native, tensors, origins, directions, lengths)
     if not bool(seen.valid.any()):

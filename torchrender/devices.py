@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 CHOICES = ("cpu", "emulated")  # and cards
 RENDERS = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp")
 FUNCTIONS = ("ray_intersect", "ray_occluded", *RENDERS, "find_outlines", "boundary")
-"""What other devices have; of `RENDERS` a part, see render_devices.py. The last two are the CPU's there, too."""
+"""What other devices have; of `RENDERS` a part, see render_devices.py, and of the last two, see NativeScene."""
 
 _WHAT = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 

@@ -185,7 +185,7 @@ public:
     bool find_outlines(const Config &c, const ParameterValues &values, uintptr_t moves,
                        SceneOutlines &outlines) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        update(values, c.on_device);
         outlines.shadows.reset();
         return tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), c.glued,
                                     data_.geometry_version(), outlines.set, outlines.pieces);
@@ -195,8 +195,9 @@ public:
                                       const std::vector<BoundaryRequest> &requests, SceneOutlines &outlines,
                                       const Addresses &slots, bool forward) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        data_.update(read_only<S>(values.addresses), values.dirty, false);  // find_outlines has looked
         if (configs.empty()) return {};
+        const Config &c = configs[0];
+        SceneRays *rays = updated(c, values, false);  // find_outlines has looked
         std::vector<RenderCall<S>> calls;
         std::vector<BoundaryCall<S>> boundaries;
         std::vector<AovLayout> layouts;  // to which the calls refer
@@ -209,25 +210,42 @@ public:
         auto look_for_shadows = [&](DerivativeCall<S> &d) {
             for (size_t i = 0; i < calls.size(); ++i) {
                 const BoundaryPart part = boundaries[i].part;
-                const bool wanted = part == BoundaryPart::Shadows || part == BoundaryPart::Pilot;
-                if (wanted && !outlines.shadows) outlines.shadows = find_shadows<S>(calls[i], boundaries[i], d);
-                if (wanted) boundaries[i].shadows = &*outlines.shadows;
+                if (part != BoundaryPart::Shadows && part != BoundaryPart::Pilot) continue;
+                auto look = [&](const BoundaryCall<S> &b) {
+                    if (!rays) return void(boundary_forward<S>(calls[i], b, d));
+                    there(*rays, [&](auto &paths, const auto &tree) {
+                        return paths.boundary().look(calls[i], b, data_, tree, d);
+                    });
+                };
+                if (!outlines.shadows) outlines.shadows = find_shadows<S>(calls[i], boundaries[i], look);
+                boundaries[i].shadows = &*outlines.shadows;
             }
         };
-        const Config &c = configs[0];
         if (forward) {
             ForwardCall<S> d(data_, c.path, c.light, slots);
             look_for_shadows(d.call);
             std::vector<RenderStats> stats;
             for (size_t i = 0; i < calls.size(); ++i) {
-                stats.push_back(boundary_forward<S>(calls[i], boundaries[i], d.call));
+                stats.push_back(rays ? there(*rays,
+                                             [&](auto &paths, const auto &tree) {
+                                                 return paths.boundary().forward(calls[i], boundaries[i], data_, tree,
+                                                                                 d.call);
+                                             })
+                                     : boundary_forward<S>(calls[i], boundaries[i], d.call));
                 if (stats.back().interrupted) break;
             }
             return stats;
         }
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
+        d.fixed_sums = c.fixed_sums;
         look_for_shadows(d);
-        std::vector<RenderStats> stats = boundary_reverse<S>(calls, boundaries, d);
+        std::vector<RenderStats> stats =
+            rays ? there<std::vector<RenderStats>>(*rays,
+                                                   [&](auto &paths, const auto &tree) {
+                                                       return paths.boundary().reverse(calls, boundaries, data_, tree,
+                                                                                       d);
+                                                   })
+                 : boundary_reverse<S>(calls, boundaries, d);
         add_gradients(data_, d, slots, calls[0].threads);
         return stats;
     }
@@ -354,8 +372,8 @@ private:
     std::map<std::string, std::unique_ptr<SceneRays>> devices_;  // that were asked for
     TreeWalk walk_;
 
-    void update(const ParameterValues &values, const OnDevice &there = {}) {
-        data_.update(read_only<S>(values.addresses), values.dirty, true, there.values);
+    void update(const ParameterValues &values, const OnDevice &there = {}, bool look = true) {
+        data_.update(read_only<S>(values.addresses), values.dirty, look, there.values);
         data_.walk(nullptr);
     }
 
@@ -373,8 +391,8 @@ private:
     }
 
     // Paths on another device: what f(paths, tree) returns.
-    template <class Do>
-    RenderStats there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] Do &&f) {
+    template <class Found = RenderStats, class Do>
+    Found there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] Do &&f) {
 #if !TR_HAS_PACKETS
         return f(rays.resident<DevicePaths<S>>(), rays.device_tree());
 #else
@@ -385,11 +403,11 @@ private:
     // Rays of another device than the CPU, null for this one, where the scene is what `values` say. On `tree` it is the
     // CPU that walks the tree of devices, for comparisons.
     SceneRays *updated(const std::string &device, const ParameterValues &values, const OnDevice &there = {},
-                       uintptr_t stream = 0) {
+                       uintptr_t stream = 0, bool look = true) {
         if ((device == "cpu" || device == "tree") && (there.image || !there.slots.empty()))
             throw std::invalid_argument("device: the CPU does not reach tensors elsewhere");
         if (device == "cpu") {
-            update(values);
+            update(values, {}, look);
             return nullptr;
         }
         const std::vector<ShapeInfo> &shapes = data_.layout().shapes;
@@ -398,7 +416,7 @@ private:
                 throw std::invalid_argument(data_.path("shape", int(i)) +
                                             ": devices have everything but curves so far, got " + missing +
                                             "; with TORCHRENDER_BACKEND=cpu rays meet everything");
-        update(values, there);
+        update(values, there, look);
         std::unique_ptr<SceneRays> &rays = devices_[device == "tree" ? "emulated" : device];
         if (!rays) rays = make_rays(device);
         rays->use_stream(stream);
@@ -409,10 +427,10 @@ private:
         return nullptr;
     }
 
-    SceneRays *updated(const Config &c, const ParameterValues &values) {
+    SceneRays *updated(const Config &c, const ParameterValues &values, bool look = true) {
         if (c.light && c.on_device.image)
             throw std::invalid_argument("device: images of light paths are in the host's memory");
-        return updated(c.device, values, c.on_device, c.stream);
+        return updated(c.device, values, c.on_device, c.stream, look);
     }
 
     RenderCall<S> call(const Config &c) {

@@ -1,7 +1,10 @@
 // What the derivative of moving outlines is asked for, besides what every derivative is (DerivativeCall).
 #pragma once
 
+#include <functional>
 #include "aovs.h"
+
+#include "core/boundary/samples.h"
 #include "shadow_pieces.h"
 
 namespace tr {
@@ -13,9 +16,7 @@ enum class BoundaryPart { Silhouettes, Outputs, Reflections, Shadows, Pilot, Pie
 
 constexpr int MostBoundaryChannels = std::max(4 * SpectrumSize, MaxAovChannels) + 1;
 
-// Look-ups of light whose pixels' numbers differ from this bit on, or whose samples' do, belong to one sample.
-constexpr int CopyBit = 27;
-// ... and have the same wavelengths.
+// Look-ups of light that belong to one sample have the same wavelengths, see CopyBit.
 template <class S>
 void share_wavelengths(RenderCall<S> &call) {
     call.config.spectral.pixel_bits = (1u << CopyBit) - 1, call.config.spectral.sample_bits = 0;
@@ -54,14 +55,70 @@ struct BoundaryCall {
     double *place, *value;
 };
 
+template <class S>
+BoundaryView<S> view_of(const RenderCall<S> &call, const BoundaryCall<S> &given) {
+    return {given.outlines->table(),
+            given.pieces->view(),
+            given.samples,
+            given.cells,
+            given.n_cells,
+            given.first,
+            given.total,
+            given.near,
+            given.in_view,
+            given.glued,
+            S(call.film_width),
+            S(call.film_height),
+            call.crop,
+            call.samples,
+            given.filter.reach()};
+}
+// Of their paths, which look for no lights: what they are for is their vertices.
+template <class S>
+RenderCall<S> outline_path_call(const RenderCall<S> &call, BoundaryPart part) {
+    RenderCall<S> r = call;
+    r.config.emitter_samples = 0, r.config.bsdf_samples = 1;
+    r.config.sampler = {};
+    // the last vertex of paths to lights is one that lights have found
+    if (part == BoundaryPart::Shadows && r.config.max_depth > 0) --r.config.max_depth;
+    r.ray_record = nullptr;
+    return r;
+}
+// Lights that throw shadows, `extended`: those alone that rays can find; see LightList.
+struct LightTable {
+    std::vector<int32_t> lights;
+    std::vector<double> cdf;
+};
+template <class F>
+LightTable shadow_lights(const SceneOf<F> &scene, bool extended) {
+    LightTable r;
+    double sum = 0;
+    for (int32_t i = 0; i < scene.n_emitters; ++i) {
+        const EmitterKernels<F> &kernels = emitter_kernels<F>(scene.emitters[i].kind);
+        const bool found = kernels.is(IsEnvironment) || (kernels.is(IsOnShape) && !kernels.is(IsBeam));
+        const bool from_afar = kernels.is(IsInfinite | HasDeltaPosition);
+        if (!(found || (from_afar && !extended)) || !(scene.emitter_pmf[i] > 0)) continue;
+        sum += double(scene.emitter_pmf[i]);
+        r.lights.push_back(i), r.cdf.push_back(sum);
+    }
+    return r;
+}
+// Samples that are worked on together, of which each may depend on the others: few, for all threads, of few.
+template <class S>
+uint64_t group_of(const BoundaryCall<S> &boundary) {
+    return boundary.weighs || boundary.part == BoundaryPart::Pilot ? 64 : 1024;
+}
+
 // Brings outlines up to date, see OutlineSet::update, and finds pieces of those that the camera sees, `glued`: for such
 // samples; false if that was interrupted.
 template <class S>
 bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, uint64_t version, OutlineSet &outlines,
                    OutlinePieces &pieces);
 // The pieces of shadows' edges, weighted by what the camera sees of them, where they are few beside so many samples.
+// look(boundary) takes samples of that part.
 template <class S>
-ShadowPieces find_shadows(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
+ShadowPieces find_shadows(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
+                          const std::function<void(const BoundaryCall<S> &)> &look);
 // Of several calls, which add up what they find together, so that the gradients of a large mesh are made once. It ends
 // with one that is interrupted.
 template <class S>

@@ -25,9 +25,8 @@ class ShadowTile : public BoundaryFolds<F> {
     std::vector<double> u_, inverse_, total_;
     const bool pilot_;
     PathTile<F> ends_;
-    std::vector<int32_t> listed_;
-    std::vector<double> cdf_;
-    LightList list_;
+    const LightTable table_;
+    const LightList list_{table_.lights.data(), table_.cdf.data(), int32_t(table_.lights.size())};
     const ShadowLights<F> lights_{scene_, list_};
     std::vector<OutlinePiecesView> pieces_;  // by emitter
     const ShadowSamples<S> samples_;
@@ -41,7 +40,7 @@ public:
         : Base(call, boundary, derivative),
           pilot_(boundary.part == BoundaryPart::Pilot),
           ends_(path_call_, Base::Capacity, &derivative),
-          list_(list_lights()),
+          table_(shadow_lights<F>(scene_, pilot_)),
           pieces_(pieces_of(boundary)),
           samples_(scene_, path_call_.config, view_,
                    {pieces_.data(), int32_t(pieces_.size()),
@@ -90,18 +89,9 @@ private:
 
     // ------------------------------------------------------------------------------------- from the light to a surface
     Random4<F> spread(uint64_t sample) const { return samples_.template spread<F>(sequence_, sample); }
-    LightList list_lights() {
-        double sum = 0;
-        for (int32_t i = 0; i < scene_.n_emitters; ++i) {
-            if (!throws_shadows(emitter_kernels<F>(scene_.emitters[i].kind), pilot_) || !(scene_.emitter_pmf[i] > 0))
-                continue;
-            sum += double(scene_.emitter_pmf[i]);
-            listed_.push_back(i), cdf_.push_back(sum);
-        }
-        return {listed_.data(), cdf_.data(), int32_t(listed_.size())};
-    }
     static std::vector<OutlinePiecesView> pieces_of(const BoundaryCall<S> &boundary) {
         std::vector<OutlinePiecesView> r;
+        r.reserve(boundary.shadows->of.size());
         for (const OutlinePieces &pieces : boundary.shadows->of) r.push_back(pieces.view());
         return r;
     }
@@ -134,7 +124,7 @@ private:
         for (uint32_t k = 0; k < n; ++k) {
             Edge x{};
             Ray ray;
-            const auto &light = lights_.kernels(at_, k);
+            const LightPlace light = lights_.place(at_, k);
             if (!samples_.find(this->sample_of(k), k, at_, light, boundary_.moves, numbers_[k], x, ray)) continue;
             rays_.push_back(ray), edges_.push_back(x);
         }

@@ -25,16 +25,6 @@ protected:
     const BoundaryCall<S> &boundary_;
     const SceneView<S> &scene_;
 
-    // Paths look for no lights: what they are for is their vertices.
-    static RenderCall<S> without_lights(const RenderCall<S> &call, BoundaryPart part) {
-        RenderCall<S> r = call;
-        r.config.emitter_samples = 0, r.config.bsdf_samples = 1;
-        r.config.sampler = {};
-        // the last vertex of paths to lights is one that lights have found
-        if (part == BoundaryPart::Shadows && r.config.max_depth > 0) --r.config.max_depth;
-        r.ray_record = nullptr;
-        return r;
-    }
     const RenderCall<S> path_call_;
     const BoundaryView<S> view_;
     const OutlineSamples<S> samples_{scene_, path_call_.config, view_};
@@ -50,7 +40,7 @@ public:
         : call_(call),
           boundary_(boundary),
           scene_(*call.scene),
-          path_call_(without_lights(call, boundary.part)),
+          path_call_(outline_path_call(call, boundary.part)),
           view_(view_of(call, boundary)),
           paths_(path_call_, Capacity, &derivative) {
         anchor_arena_.allocate(Capacity + 2 * W, anchors_), towards_arena_.allocate(Capacity + 2 * W, towards_);
@@ -94,8 +84,8 @@ protected:
         paths_.start(n, false);
         const auto &slots = paths_.slots;
         for (uint32_t k = 0; k < n; ++k) {  // a place that was rounded up is in another pixel
-            slots.film_x[k] = std::min(slots.film_x[k], std::nextafter(S(int32_t(slots.column[k]) + 1), S(-INFINITY)));
-            slots.film_y[k] = std::min(slots.film_y[k], std::nextafter(S(int32_t(slots.row[k]) + 1), S(-INFINITY)));
+            slots.film_x[k] = within_pixel(slots.film_x[k], slots.column[k]);
+            slots.film_y[k] = within_pixel(slots.film_y[k], slots.row[k]);
         }
         paths_.run(true, stop, 0, false, boundary_.glued);
     }
@@ -261,24 +251,6 @@ protected:
     }
 
 private:
-    static BoundaryView<S> view_of(const RenderCall<S> &call, const BoundaryCall<S> &given) {
-        return {given.outlines->table(),
-                given.pieces->view(),
-                given.samples,
-                given.cells,
-                given.n_cells,
-                given.first,
-                given.total,
-                given.near,
-                given.in_view,
-                given.glued,
-                S(call.film_width),
-                S(call.film_height),
-                call.crop,
-                call.samples,
-                given.filter.reach()};
-    }
-
     Arena anchor_arena_, towards_arena_, row_arena_, lens_arena_;
     LensColumns<S> lens_;
 };

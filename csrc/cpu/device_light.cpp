@@ -135,7 +135,7 @@ void DevicePaths<S>::trace_light(const Work &work, uint32_t n, Visit &&visit) {
         const PathStage<S> stage = begin_step(work, levels_.size() - 1, true, most, ranges);
         current->n = uint32_t(capacity_);  // any entry of it may be asked for
         // the last vertex, too, is connected and therefore sorted by its BSDF
-        sort_hits(stage, {level, 0, true}, *current, rays, most, ranges);
+        sort_hits(work, stage, {level, 0, true}, *current, rays, most, ranges);
         ShadeLightPaths<S> paths{shading(stage, {level, 0, depth < 0 || level + 3 <= depth}, *current, *next, ranges),
                                  work.light};
         for (const int32_t kind : work.kinds) {

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <set>
 #include <stdexcept>
 #include <string>
 
@@ -9,30 +8,7 @@ namespace tr {
 
 namespace {
 
-constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
-static_assert(Kinds <= SortTable::MostKinds);
-constexpr size_t Totals = 4, TrackingNumbers = size_t(TrackingTotals::Copies) * TrackingTotals::Sums;
-constexpr int MostLevels = 16;  // of a tape that batches are sized for; deeper ones have few paths left
-
-uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
-
-// The kinds that hits of a scene can have.
-template <class S>
-std::vector<int32_t> kinds_in(const SceneView<S> &scene, const PathConfig &config, bool records, bool light) {
-    std::set<int32_t> found;
-    if (config.volumetric) {
-        found.insert(CollisionKind);
-        if (records) found.insert(MissKind);
-        if (config.hide_emitters) found.insert(NullKind);
-    }
-    if (scene.environment >= 0 && !light) found.insert(MissKind);
-    for (int b = 0; b < scene.n_bsdfs; ++b) {
-        const int32_t kind = scene.bsdfs[b].kind;
-        if (kind < FirstWrapper) found.insert(kind);
-        if (kind == MaskKind) found.insert(MaskHoleKind);
-    }
-    return {found.begin(), found.end()};
-}
+constexpr size_t TrackingNumbers = size_t(TrackingTotals::Copies) * TrackingTotals::Sums;
 
 }  // namespace
 
@@ -48,35 +24,6 @@ void DevicePaths<S>::check(const RenderCall<S> &call) {
     if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
 }
 
-template <class S>
-size_t DevicePaths<S>::bytes_per_path(const BatchParts &parts) {
-    size_t bytes = 0;
-    BatchColumns<S>().for_arrays(parts, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
-    return bytes;
-}
-
-template <class S>
-void DevicePaths<S>::reserve(size_t n, const BatchParts &parts) {
-    if (n <= capacity_ && parts == parts_) return;
-    launcher_.synchronize();
-    capacity_ = 0, parts_ = parts;
-    arrays_.clear();
-    at_ = {};
-    at_.for_arrays(parts, [&](auto *&array, size_t each) {
-        arrays_.emplace_back(launcher_, each * n * sizeof(*array));
-        array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(arrays_.back().get());
-    });
-    lengths_.reserve(launcher_, 4);
-    camera_ = {at_.camera_rays, lengths_.get()}, live_ = {at_.live_rays, lengths_.get() + 1};
-    sorted_ = {at_.sorted, lengths_.get() + 2}, lit_ = {at_.shadow_rays, lengths_.get() + 3};
-    static_assert(MostShadows <= Kinds);
-    counts_.reserve(launcher_, size_t(Kinds) * chunks_of(n));  // also of so many shadow rays, of one kind
-    ranges_.reserve(launcher_, 2 * size_t(Kinds)), range_of_one_.reserve(launcher_, 2);
-    totals_.reserve(launcher_, Totals);
-    at_.lost.total = totals_.get() + 2;
-    capacity_ = n;
-}
-
 // ---------------------------------------------------------------------------------------------------------- a call
 template <class S>
 typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, const SceneData<S> &data,
@@ -84,7 +31,7 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
                                                     const DerivativeCall<S> *derivative, int channels) {
     const SceneView<S> &host = *call.scene;
     const bool media = call.config.volumetric, light = channels == Light, paths = channels < 0;
-    Work work{call, {}, tree, kinds_in(host, call.config, derivative && paths, light), schedule};
+    Work work{{call, {}, tree, kinds_in(host, call.config, derivative && paths, light)}, schedule};
     for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += schedule.n_paths(i);
     if (call.pixels) work.list = list_pixels(schedule, work.lists);
     size_t memory = memory_, bytes = bytes_per_path({media, light});
@@ -99,7 +46,7 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
     }
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
     reserve(work.batch, {media, light});
-    clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), Totals);
+    this->clear_totals();
     if (media) {
         tracking_.reserve(launcher_, TrackingNumbers);
         clear(launcher_, tracking_.get(), TrackingNumbers);
@@ -110,9 +57,9 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
     facts.light_paths = light;
     facts.motion = work.parts.motion, facts.fixed_sums = derivative && derivative->fixed_sums;
     launcher_.know(facts);
-    std::vector<int32_t> kinds(size_t(host.n_bsdfs));
-    for (int b = 0; b < host.n_bsdfs; ++b) kinds[size_t(b)] = resolved_kind(host, b);
+    const std::vector<int32_t> kinds = kinds_of_bsdfs(host);
     kinds_.upload(launcher_, kinds.data(), kinds.size());
+    work.kind_of_bsdf = kinds_.get();
     work.stage = {scene_.upload(launcher_, data, call.on_device.values, call.threads),
                   call.config,
                   at_.slots,
@@ -131,14 +78,11 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
     return work;
 }
 
-// What the paths of batches take.
+// What batches take, of outlines, too.
 template <class S>
 void DevicePaths<S>::release() {
-    launcher_.synchronize();
-    capacity_ = 0;
-    arrays_.clear();
-    values_ = DeviceArray<S>();
-    levels_ = DeviceTapeLevels<S>();
+    release_paths();
+    if (boundary_) boundary_->release();
 }
 
 template <class S>
@@ -163,7 +107,7 @@ template <class S>
 RenderStats DevicePaths<S>::reverse(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                                     DerivativeCall<S> &derivative) {
     return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
-        work.reverse = true;
+        work.skips_zero_adjoints = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
         const DerivativePlaces<S> to =
@@ -204,234 +148,14 @@ RenderStats DevicePaths<S>::forward(const RenderCall<S> &call, const SceneData<S
 
 template <class S>
 void DevicePaths<S>::finish(const Work &work, RenderStats &stats) const {
-    uint64_t totals[Totals];
-    totals_.download(totals, Totals);
-    stats.closest_rays = totals[0], stats.shadow_rays = totals[1];
+    this->add_totals(stats);
     if (work.call.config.volumetric) {
         std::vector<uint64_t> sums(TrackingNumbers);
         tracking_.download(sums.data(), sums.size());
         for (size_t i = 0; i < sums.size(); i += TrackingTotals::Sums)
             stats.collisions += sums[i], stats.majorants_exceeded += sums[i + 1], stats.shadow_rays += sums[i + 2];
     }
-    if (totals[2] != 0) count_lost(stats);
-    stats.count_non_finite(totals[3], "a derivative");
     stats.seconds = work.seconds();
-}
-
-template <class S>
-void DevicePaths<S>::count_lost(RenderStats &stats) const {
-    std::vector<uint32_t> found[3];
-    const uint32_t *columns[] = {at_.lost.count, at_.lost.culprit, at_.lost.index};
-    for (int k = 0; k < 3; ++k) {
-        found[k].resize(capacity_);
-        launcher_.download(found[k].data(), columns[k], capacity_ * sizeof(uint32_t));
-    }
-    for (size_t i = 0; i < capacity_; ++i)
-        if (found[0][i] != 0)
-            stats.count_non_finite(found[0][i],
-                                   name_of(Culprit(found[1][i])) + (" " + std::to_string(int32_t(found[2][i]))));
-}
-
-// --------------------------------------------------------------------------------------------------------- a batch
-// Lists entries 0 .. each * *n - 1, or those of `from`, those of every key one after the other.
-template <class S>
-void DevicePaths<S>::sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to,
-                          const Sorted &ranges, uint32_t launched, uint32_t each) {
-    const uint32_t chunks = chunks_of(size_t(each) * launched);
-    const SortTable table{key,
-                          from ? from->entry : nullptr,
-                          n,
-                          counts_.get(),
-                          ranges.begin,
-                          ranges.total,
-                          to.entry,
-                          to.n,
-                          each,
-                          ranges.kinds,
-                          chunks};
-    launcher_.run(CountKeys{table}, chunks);
-    launcher_.run(SumKeys{table}, ranges.kinds);
-    launcher_.run(PlaceKeys{table}, chunks);
-}
-
-// ... those that are kept.
-template <class S>
-void DevicePaths<S>::keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched,
-                          uint32_t each) {
-    sort(key, nullptr, n, to, {range_of_one_.get(), range_of_one_.get() + 1, 1}, launched, each);
-}
-
-// Camera rays, and the list of those that there are.
-template <class S>
-void DevicePaths<S>::start(const Work &work, uint32_t n) {
-    launcher_.run(StartPaths<S>{work.stage, at_.queues[0], at_.out_key, n, work.reverse}, n);
-    list_started(n, camera_);
-}
-
-// Those that a launch for all samples has started.
-template <class S>
-void DevicePaths<S>::list_started(uint32_t n, const EntryList &to) {
-    launcher_.run(FillWords{sorted_.n, n}, 1);  // in place of hits: all samples
-    keep(at_.out_key, sorted_.n, to, n);
-}
-
-// As PathTile::run.
-template <class S>
-void DevicePaths<S>::trace_paths(Work &work, uint32_t n) {
-    const PathConfig &config = work.call.config;
-    const int depth = config.max_depth;
-    PathQueue<S> *queues = at_.queues;
-    levels_.begin(work.parts);
-    start(work, n);
-    if (depth == 0) return;
-    if (config.volumetric) return trace_volumetric(work, n);
-    trace_hits(work, queues[0], camera_, config.hide_emitters, n);
-    const bool scatters = depth < 0 || depth > 1;
-    for (int split = 0; split < work.splits(); ++split) {
-        if (split > 0) trace_hits(work, queues[0], camera_, false, n);
-        step(work, {0, split, scatters}, queues[0], camera_, queues[1], n, TapeLevel::NoParents);
-        PathQueue<S> *current = &queues[1], *next = &queues[2];
-        uint32_t most = n;  // that may be left
-        for (int level = 1; depth < 0 || level < depth; ++level) {
-            if (level % LevelsBetweenLooks == 0) most = live();
-            if (most == 0) break;
-            trace_hits(work, *current, live_, false, most);
-            step(work, {level, 0, depth < 0 || level + 1 < depth}, *current, live_, *next, most, levels_.size() - 1);
-            std::swap(current, next);
-        }
-    }
-}
-
-// As PathTile::run_volumetric.
-template <class S>
-void DevicePaths<S>::trace_volumetric(Work &work, uint32_t n) {
-    launcher_.run(BeginMedia<S>{work.stage, work.media, at_.queues[0]}, n);
-    trace_levels(work, 0, camera_, n);
-    if (!work.stage.records || !work.media.differential) return;
-    // what is not recorded has other kernels
-    SceneFacts facts = work.facts;
-    facts.records = work.stage.records = false;
-    launcher_.know(facts);
-    launcher_.run(StartBranches<S>{work.stage, work.media, at_.queues[0], at_.out_key, n}, n);
-    list_started(n, live_);
-    trace_levels(work, BranchLevel, live_, n);
-    launcher_.run(FinishBranches<S>{at_.slots.radiance, at_.branch.radiance}, n);
-    work.stage.records = true;
-    launcher_.know(work.facts);
-}
-
-// As PathTile::run_levels, of `rays` of the first queue.
-template <class S>
-void DevicePaths<S>::trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n) {
-    PathQueue<S> *current = &at_.queues[0], *next = &at_.queues[1];
-    for (uint32_t level = 0, most = n; most > 0; ++level) {
-        const EntryList &list = level == 0 ? rays : live_;
-        const int parents = level == 0 ? TapeLevel::NoParents : levels_.size() - 1;
-        trace_hits(work, *current, list, false, most);
-        step(work, {int(first + level), 0, true}, *current, list, *next, most, parents);
-        std::swap(current, next);
-        if ((level + 1) % LevelsBetweenLooks == 0) most = live();
-    }
-}
-
-template <class S>
-void DevicePaths<S>::trace_hits(const Work &work, const PathQueue<S> &queue, const EntryList &rays, bool passes,
-                                uint32_t n) {
-    launcher_.run(TracePaths<S>{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
-}
-
-// The stage of a step, with a level of the tape if there is one, and where its hits of each kind are. `parents`: the
-// level that they come from.
-template <class S>
-PathStage<S> DevicePaths<S>::begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges) {
-    ranges = {ranges_.get(), ranges_.get() + Kinds, Kinds};
-    PathStage<S> stage = work.stage;
-    if (stage.records) {
-        const TapeLevel &level = levels_.add(launcher_, parents, scatters, n, Kinds);
-        stage.tape = level.tape;
-        ranges = {level.begin, level.total, Kinds};
-    }
-    return stage;
-}
-
-// Lists the hits of the rays, n at most, by kind.
-template <class S>
-void DevicePaths<S>::sort_hits(const PathStage<S> &stage, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
-                               uint32_t n, const Sorted &ranges) {
-    const bool viewed = !parts_.light;
-    launcher_.run(ClassifyHits<S>{stage, at, viewed, in, at_.hits, kinds_.get(), rays, at_.key}, n);
-    sort(at_.key, &rays, rays.n, sorted_, ranges, n);
-}
-
-// ... which are to be shaded so.
-template <class S>
-ShadeHits<S> DevicePaths<S>::shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in,
-                                     const PathQueue<S> &out, const Sorted &ranges) const {
-    return {stage,        at,           MissKind, 3,           in,          at_.hits,      sorted_.entry,
-            ranges.begin, ranges.total, out,      at_.shadows, at_.out_key, at_.shadow_key};
-}
-
-// Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_.
-template <class S>
-void DevicePaths<S>::step(const Work &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
-                          const PathQueue<S> &out, uint32_t n, int parents) {
-    const int depth = work.call.config.max_depth;
-    const bool volumetric = work.call.config.volumetric;
-    Sorted ranges;
-    const PathStage<S> stage = begin_step(work, parents, at.scatters, n, ranges);
-    in.n = uint32_t(capacity_);  // any entry of it may be asked for
-    MediumContext<S> media = work.media;
-    media.level = uint32_t(at.depth);
-    if (volumetric) launcher_.run(FlyRays<S>{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
-    sort_hits(stage, at, in, rays, n, ranges);
-    ShadeHits<S> hits = shading(stage, at, in, out, ranges);
-    hits.left = volumetric || depth < 0 ? 3 : std::min(std::max(depth - at.depth - 1, 1), 3);
-    for (const int32_t kind : work.kinds) {
-        hits.kind = kind;
-        if (volumetric)
-            launcher_.run(ShadeInMedia<S>{hits, media}, n, kind);
-        else
-            launcher_.run(hits, n, kind);
-    }
-    if (!at.scatters) return;
-    keep(at_.shadow_key, sorted_.n, lit_, n, volumetric ? MostShadows : 1);
-    if (volumetric) {
-        launcher_.run(
-            TransmitShadows<S>{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, {tracking_.get()}},
-            MostShadows * n);
-    } else {
-        launcher_.run(TraceShadows<S>{work.tree, at_.shadows, lit_, at_.slots.radiance,
-                                      stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
-                      n);
-    }
-    keep(at_.out_key, sorted_.n, live_, n);
-}
-
-// As PathTile::sweep_levels, or LightTile::sweep, from level `last` on.
-template <class S>
-void DevicePaths<S>::sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint, int last) {
-    static const std::vector<int32_t> beginning{EmissionKind};
-    const bool light = parts_.light;
-    BranchEnds<S> branches;
-    if (work.media.differential) branches = {at_.branch.level, at_.branch.entry, at_.branch.radiance};
-    for (int l = last; l >= 0; --l) {
-        const TapeLevel &level = levels_[l];
-        PathStage<S> stage = work.stage;
-        stage.tape = level.tape;
-        TapeBefore<S> before;
-        if (level.parents >= 0) {
-            const TapeColumns<S> &parents = levels_[level.parents].tape;
-            before = {parents.vertex.suffix, parents.next, parents.motion.rest_bar, parents.motion.from_bar};
-        }
-        for (const int32_t kind : light &&l == 0 ? beginning : work.kinds) {
-            const SweepVertices<S> vertices{stage,  kind,     uint32_t(l), level.scatters, level.begin, level.total,
-                                            before, branches, to,          unit_adjoint};
-            if (light)
-                launcher_.run(SweepLightVertices<S>{vertices, work.light}, level.room, kind);
-            else
-                launcher_.run(vertices, level.room, kind);
-        }
-    }
 }
 
 // In reverse mode, the gradients of a batch.
@@ -459,10 +183,16 @@ void DevicePaths<S>::sweep_components(const Work &work, DerivativePlaces<S> to, 
 }
 
 template <class S>
-uint32_t DevicePaths<S>::live() const {
-    uint32_t n = 0;
-    launcher_.download(&n, live_.n, sizeof n);
-    return n;
+void DevicePaths<S>::release_paths() {
+    Base::release();
+    values_ = DeviceArray<S>();
+}
+
+template <class S>
+DeviceBoundary<S> &DevicePaths<S>::boundary() {
+    if (!boundary_)
+        boundary_ = std::make_unique<DeviceBoundary<S>>(launcher_, scene_, memory_, [this] { release_paths(); });
+    return *boundary_;
 }
 
 template class DevicePaths<float>;

@@ -6,23 +6,22 @@
 #include "aovs.h"
 #include "device/device_scene.h"
 #include "device/output_sweep_kernels.h"
-#include "device/sort_kernels.h"
-#include "device_batch.h"
+#include "device_boundary.h"
 #include "device_derivative.h"
-#include "device_tape.h"
+#include "device_tile.h"
 #include "render.h"
 
 namespace tr {
 
 template <class S>
-class DevicePaths {
+class DevicePaths : DeviceTile<S> {
+    using Base = DeviceTile<S>;
+
 public:
     // The launcher has to live longer. `memory`: bytes for the paths of a batch, and `TapeShare` times as many for
     // those of a derivative, less where there is not that much; scene and film have theirs besides.
-    DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
+    DevicePaths(Launcher &launcher, size_t memory) : Base(launcher), memory_(memory) {}
     explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
-    DevicePaths(const DevicePaths &) = delete;
-    DevicePaths &operator=(const DevicePaths &) = delete;
 
     // As render_primal, render_reverse and render_forward: the same samples; images are summed in the same order,
     // gradients in any. `call.scene` is that of `data`, and `tree` its tree on the device. std::invalid_argument for
@@ -50,15 +49,20 @@ public:
     RenderStats forward_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                               const DerivativeCall<S> &derivative, S *image);
 
+    // Derivatives of moving outlines.
+    DeviceBoundary<S> &boundary();
+
     // Of `memory` a path takes, without the tape.
-    static size_t bytes_per_path(const BatchParts &parts = {});
-    static constexpr size_t TapeShare = 4;
+    using Base::bytes_per_path;
+    using Base::TapeShare;
 
 private:
-    using TapeLevel = typename DeviceTapeLevels<S>::Level;
-    static constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
-    static constexpr int LevelsBetweenLooks = 8;            // at how many paths are left
-    static constexpr int Radiance = -1, Light = -2;         // in place of a number of channels: of paths, of light's
+    using Base::at_, Base::camera_, Base::capacity_, Base::launcher_, Base::levels_, Base::lit_, Base::live_,
+        Base::parts_, Base::sorted_, Base::totals_, Base::tracking_;
+    using Base::begin_step, Base::keep, Base::list_started, Base::live, Base::LevelsBetweenLooks, Base::reserve,
+        Base::shading, Base::sort_hits, Base::start, Base::sweep, Base::trace_hits, Base::trace_paths;
+    using typename Base::Sorted, typename Base::TapeLevel;
+    static constexpr int Radiance = -1, Light = -2;  // in place of a number of channels: of paths, of light's
 
     // What one call is about, and where the pixels of a tile are in a list of them.
     struct Work;
@@ -66,19 +70,9 @@ private:
         uint32_t pixel = 0, place = 0;
     };
 
-    Launcher &launcher_;
     size_t memory_;
     DeviceScene<S> scene_;
-    size_t capacity_ = 0;  // paths of a batch
-    BatchParts parts_;     // of these
-    BatchColumns<S> at_{};
-    std::vector<DeviceArray<uint8_t>> arrays_;  // of it
-    EntryList camera_{}, live_{}, sorted_{}, lit_{};
-    DeviceArray<uint32_t> lengths_;  // of these lists
-    DeviceArray<uint32_t> counts_, ranges_, range_of_one_;
     DeviceArray<int32_t> kinds_, targets_;
-    DeviceArray<uint64_t> totals_;    // closest hits, shadow rays, values that are not finite: of paths, of derivatives
-    DeviceArray<uint64_t> tracking_;  // TrackingTotals
     DeviceArray<double> sums_, open_;
     DeviceArray<FixedSum<S>> splats_;  // on their way to the former
     DeviceArray<S> splat_adjoint_;     // of these
@@ -88,8 +82,8 @@ private:
     DeviceArray<FilmUnit> units_;
     DeviceArray<OwnSamples> own_;
     DeviceArray<S> values_;  // of outputs, by channel and sample
-    DeviceTapeLevels<S> levels_;
     DeviceDerivative<S> derivative_;
+    std::unique_ptr<DeviceBoundary<S>> boundary_;  // once it was wanted
 
     static void check(const RenderCall<S> &call);
     static std::vector<OwnSamples> own_samples(const Work &work, const WorkItem &units, size_t unit, const Tile &tile);
@@ -98,13 +92,12 @@ private:
     RenderStats run(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                     const DerivativeCall<S> *derivative, int channels, Do &&f);
     void release();
+    void release_paths();
     Work begin(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree, const TileSchedule &schedule,
                const DerivativeCall<S> *derivative, int channels);
-    void reserve(size_t n, const BatchParts &parts);
     template <class Body>
     void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
     void finish(const Work &work, RenderStats &stats) const;
-    void count_lost(RenderStats &stats) const;
 
     // the film
     ListedPixels list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists);
@@ -117,30 +110,8 @@ private:
     void begin_adjoint(Work &work, const S *image, RenderStats &stats);
 
     // a batch of n paths
-    struct Sorted;
-    void sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to, const Sorted &ranges,
-              uint32_t launched, uint32_t each = 1);
-    void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched, uint32_t each = 1);
-    void start(const Work &work, uint32_t n);
-    void list_started(uint32_t n, const EntryList &to);
-    void trace_paths(Work &work, uint32_t n);
-    void trace_volumetric(Work &work, uint32_t n);
-    void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);
-    void trace_hits(const Work &work, const PathQueue<S> &queue, const EntryList &rays, bool passes, uint32_t n);
-    PathStage<S> begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges);
-    void sort_hits(const PathStage<S> &stage, const PathStep &at, PathQueue<S> &in, const EntryList &rays, uint32_t n,
-                   const Sorted &ranges);
-    ShadeHits<S> shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in, const PathQueue<S> &out,
-                         const Sorted &ranges) const;
-    void step(const Work &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays, const PathQueue<S> &out,
-              uint32_t n, int parents);
-    void sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint, int last);
-    void sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint) {
-        sweep(work, to, unit_adjoint, levels_.size() - 1);
-    }
     void sweep_gradients(const Work &work, DerivativePlaces<S> to);
     void sweep_components(const Work &work, DerivativePlaces<S> to, uint32_t n);
-    uint32_t live() const;
 
     // light paths
     template <class Do>

@@ -13,21 +13,13 @@
 namespace tr {
 
 template <class S>
-struct DevicePaths<S>::Work {
-    const RenderCall<S> &call;
-    PathStage<S> stage;
-    TreeView tree;
-    std::vector<int32_t> kinds;  // that are launched
+struct DevicePaths<S>::Work : DeviceCall<S> {
+    using DeviceCall<S>::call;
     const TileSchedule &schedule;
     ListedPixels list{};
     std::vector<TileList> lists{1};  // by tile; one for all where there is no list
-    TapeParts parts{};
-    SceneFacts facts{};
-    MediumContext<S> media{};
-    LightView<S> light{};  // of light paths
     int64_t n_paths = 0;
-    size_t batch = 0;      // paths of one at most
-    bool reverse = false;  // paths that nothing is asked of are left out
+    size_t batch = 0;  // paths of one at most
     std::chrono::steady_clock::time_point begun = std::chrono::steady_clock::now();
 
     double seconds() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count(); }
@@ -42,37 +34,6 @@ struct DevicePaths<S>::Work {
         const auto width = uint32_t(wanted.width());
         return {uint32_t(y0 - wanted.y0) * width, uint32_t(std::max(0, y1 - y0)) * width};
     }
-    // How often the first vertex is scattered from.
-    int splits() const {
-        const PathConfig &config = call.config;
-        const bool scatters = config.max_depth < 0 || config.max_depth > 1;
-        return scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
-    }
-};
-
-// Where entries of each key of a sort begin, and how many they are.
-template <class S>
-struct DevicePaths<S>::Sorted {
-    uint32_t *begin, *total;
-    uint32_t kinds;
-};
-
-// Waits, whatever happens: what was launched needs memory that may be given back.
-class FinishLaunches {
-public:
-    explicit FinishLaunches(Launcher &launcher) : launcher_(launcher) {}
-    FinishLaunches(const FinishLaunches &) = delete;
-    FinishLaunches &operator=(const FinishLaunches &) = delete;
-    ~FinishLaunches() {
-        try {
-            launcher_.synchronize();
-        } catch (...) {  // what went wrong is on its way already
-            return;
-        }
-    }
-
-private:
-    Launcher &launcher_;
 };
 
 // Of a unit's pixels, if they have numbers of samples of their own, and behind them.
@@ -135,7 +96,7 @@ void DevicePaths<S>::for_batches(const Work &work, RenderStats &stats, bool sile
     if (!batch.units.empty()) finish();
 }
 
-// Calls f(work, stats); where memory is short again, with smaller batches. Nothing is written before all is computed.
+// Calls f(work, stats), which writes nothing before all is computed.
 template <class S>
 template <class Do>
 RenderStats DevicePaths<S>::run(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
@@ -144,20 +105,14 @@ RenderStats DevicePaths<S>::run(const RenderCall<S> &call, const SceneData<S> &d
     TileSchedule schedule = make_schedule(call);
     if (derivative && derivative->adaptive && channels == Radiance)
         allocate(schedule, call.filter, derivative->adjoint, call.values);
-    for (;;) {
-        try {
+    return with_memory(
+        launcher_, memory_, [&] { release(); },
+        [&] {
             RenderStats stats;
-            const FinishLaunches finished(launcher_);
-            launcher_.synchronize();
             Work work = begin(call, data, tree, schedule, derivative, channels);
             f(work, stats);
             return stats;
-        } catch (const std::bad_alloc &) {
-            if (memory_ < LeastMemory) throw DeviceMemoryError();
-            memory_ /= 2;
-            release();
-        }
-    }
+        });
 }
 
 }  // namespace tr

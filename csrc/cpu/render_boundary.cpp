@@ -11,16 +11,12 @@ namespace tr {
 
 namespace {
 
-constexpr uint64_t SamplesPerItem = 1024, SamplesPerLook = 64;
-
 // Calls work(tile, first, n, thread, stop) for batches of the samples.
 template <class Tile, class S, class Make, class Work>
 RenderStats run_boundary(const RenderCall<S> &call, const BoundaryCall<S> &boundary, Make &&make, Work &&work) {
     RenderStats stats;
     Stopwatch watch(stats.seconds);
-    // few samples, for all threads
-    const bool looks = boundary.weighs || boundary.part == BoundaryPart::Pilot;
-    const uint64_t size = looks ? SamplesPerLook : SamplesPerItem;
+    const uint64_t size = group_of(boundary);
     const size_t items = size_t((boundary.count + size - 1) / size);
     run_tiles(items, call, Assignment::Interleaved, stats, make,
               [&](Tile &tile, size_t item, int thread, const Stop &stop) {
@@ -93,15 +89,12 @@ bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, 
     return true;
 }
 template <class S>
-ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative) {
-    using F = PacketOf<S>;
-    using Tile = ShadowTile<F>;
+ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
+                          const std::function<void(const BoundaryCall<S> &)> &look) {
     const LightPathCall<S> light(given, boundary.glued);
-    const RenderCall<S> &call = light.call;
-    derivative.needs.geometry = true;
     constexpr size_t most = 4096, enough = 16;  // samples, and samples of a piece (half of a round lamp faces away)
     constexpr double unseen = 0.3;              // share of what goes by length alone
-    ShadowPieces r = ShadowCutter<S>(call, *boundary.outlines, boundary.moves).cut();
+    ShadowPieces r = ShadowCutter<S>(light.call, *boundary.outlines, boundary.moves).cut();
     for (size_t i = 0; i < r.of.size(); ++i) {
         OutlinePieces &pieces = r.of[i];
         const size_t n = pieces.all.size();
@@ -112,11 +105,7 @@ ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &bou
         looking.part = BoundaryPart::Pieces, looking.shadows = &r, looking.emitter = int32_t(i);
         looking.first = 0, looking.count = each.size(), looking.samples = looking.total = 1, looking.in_view = 1;
         looking.value = each.data();
-        auto make = [&](int) { return std::make_unique<Tile>(call, looking, derivative); };
-        run_boundary<Tile>(call, looking, make, [&](Tile &tile, uint64_t first, uint32_t count, int, const Stop &stop) {
-            GradientSink<F> nothing;
-            tile.run(first, count, nothing, stop);
-        });
+        look(looking);
         for (size_t k = 0; k < each.size(); ++k) seen[k % n] += each[k];
         const double sum = std::accumulate(seen.begin(), seen.end(), 0.0), length = pieces.total();
         if (!(sum > 0)) continue;
@@ -171,7 +160,8 @@ RenderStats boundary_forward(const RenderCall<S> &given, const BoundaryCall<S> &
 #define TR_INSTANTIATE(S)                                                                                          \
     template bool find_outlines(const RenderCall<S> &, const uint8_t *, bool, uint64_t, OutlineSet &,              \
                                 OutlinePieces &);                                                                  \
-    template ShadowPieces find_shadows(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);       \
+    template ShadowPieces find_shadows(const RenderCall<S> &, const BoundaryCall<S> &,                             \
+                                       const std::function<void(const BoundaryCall<S> &)> &);                      \
     template std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &,                         \
                                                        const std::vector<BoundaryCall<S>> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);

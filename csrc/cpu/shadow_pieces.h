@@ -14,11 +14,6 @@ namespace tr {
 // By emitter; without pieces the tree serves.
 struct ShadowPieces {
     std::vector<OutlinePieces> of;
-
-    const OutlinePieces *find(int32_t emitter) const {
-        const size_t i = size_t(emitter);
-        return i < of.size() && !of[i].all.empty() ? &of[i] : nullptr;
-    }
 };
 
 template <class S>

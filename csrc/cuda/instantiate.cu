@@ -13,8 +13,10 @@
 #include "device/output_sweep_kernels.h"
 #include "device/path_kernels.h"
 #include "device/ray_kernels.h"
+#include "device/sight_kernels.h"
 #include "device/sort_kernels.h"
 #include "device/splat_kernels.h"
+#include "device/vertex_kernels.h"
 
 namespace tr {
 namespace kernels {
@@ -67,6 +69,36 @@ TR_RUN(StartCentres<float>)
 TR_RUN(AddOutputsToFilm<float>)
 TR_RUN(CollectOutputs<float>)
 TR_RUN(SweepOutputs<float>)
+TR_RUN(FindSights<float>)
+TR_RUN(StartSights<float>)
+TR_RUN(AddSights<float>)
+TR_RUN(FindEdges<float>)
+TR_RUN(ShadeEnds<float>)
+TR_RUN(ConnectEdges<float>)
+TR_RUN(AddEdges<float>)
+TR_RUN(TellEdges<float>)
+TR_RUN(SweepPlaces<float>)
+TR_RUN(NumberOutlines<float>)
+TR_RUN(KeepInPixels<float>)
+TR_RUN(ChooseVertices<float>)
+TR_RUN(LookAtVertices<float>)
+TR_RUN(ScatterTowards<float>)
+TR_RUN(ListEdges<float>)
+TR_RUN(ShareEdges<float>)
+TR_RUN(AimAtEdges<float>)
+TR_RUN(SeeEdges<float>)
+TR_RUN(SlideVertices<float>)
+TR_RUN(ShareOutlines<float>)
+TR_RUN(ChooseOutlines<float>)
+TR_RUN(FindOutlines<float>)
+TR_RUN(LookPastOutlines<float>)
+TR_RUN(StartOutlines<float>)
+TR_RUN(TakeOutlines<float>)
+TR_RUN(AddOutlines<float>)
+TR_RUN(TellOutlines<float>)
+TR_RUN(WeighSights<float>)
+TR_RUN(WeighEdges<float>)
+TR_RUN(WeighOutlines<float>)
 TR_RUN(IntersectRays)
 TR_RUN(OccludeRays)
 #undef TR_RUN

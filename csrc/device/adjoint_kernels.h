@@ -54,12 +54,15 @@ struct AdjointGather {
 
     // Adds to `to`, a number a channel.
     TR_HD void gather(uint32_t i, double *to) const {
-        const auto row = int32_t(samples.row[i]), column = int32_t(samples.column[i]);
+        gather_at(int32_t(samples.row[i]), int32_t(samples.column[i]), samples.film_x[i], samples.film_y[i], to);
+    }
+    // ... of a place in this pixel.
+    TR_HD void gather_at(int32_t row, int32_t column, S x, S y, double *to) const {
         if (reach == 0) return add(row, column, 1, to);
         for (int32_t r = row - reach; r <= row + reach; ++r) {
-            const auto wy = double(filter.weight_of(r, samples.film_y[i]));
+            const auto wy = double(filter.weight_of(r, y));
             for (int32_t k = column - reach; wy != 0 && k <= column + reach; ++k) {
-                const auto wx = double(filter.weight_of(k, samples.film_x[i]));
+                const auto wx = double(filter.weight_of(k, x));
                 if (wx != 0) add(r, k, wy * wx, to);
             }
         }

@@ -1,6 +1,7 @@
 #include "outline_set.h"
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 
 #include "core/math/rows.h"
@@ -25,6 +26,8 @@ V place_of(const SceneView<S> &scene, uint32_t vertex) {
 }
 
 constexpr size_t FewLeaves = 256;  // for a thread
+
+std::atomic<uint64_t> latest_revision{0};
 
 // Of a curve.
 Extent extent_of(const OutlineElement &e) { return {{e.a.x, e.a.y, e.a.z}, 2 * e.b.x}; }
@@ -93,7 +96,7 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, uint64_
         plant(scene, threads);
     tree_.build(threads);
     refresh_table();
-    version_ = version;
+    version_ = version, revision_ = ++latest_revision;
     return true;
 }
 

@@ -34,6 +34,9 @@ public:
     // As it is now.
     const OutlineTable &table() const { return table_; }
     const OutlineTree &tree() const { return tree_; }
+    // Another number, of all sets, whenever it has changed.
+    uint64_t revision() const { return revision_; }
+    size_t n_shapes() const { return moves_.size(); }
 
 private:
     static constexpr uint32_t Flag = OutlineFlag;
@@ -48,7 +51,7 @@ private:
     OutlineTree tree_;
     OutlineTable table_{};
     bool found_ = false;
-    uint64_t version_ = 0;
+    uint64_t version_ = 0, revision_ = 0;
 
     void refresh_table();
     template <class S>

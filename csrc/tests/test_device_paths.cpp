@@ -1,17 +1,11 @@
 // The path tracer on the emulated device: images are those of the CPU, whatever the batches.
 #include <algorithm>
-#include <array>
-#include <cstdio>
-#include <fstream>
-#include <map>
-#include <sstream>
 
 #include "accel/embree_library.h"
-#include "device/compiler.h"
 #include "device/emulated.h"
 #include "device/scene_rays.h"
 #include "device/tree_walk.h"
-#include "find_nvrtc.h"
+#include "kernel_resources.h"
 #include "scene_builder.h"
 
 #if !TR_HAS_PACKETS
@@ -319,27 +313,8 @@ TR_TEST(batches_of_a_device_shrink) {
     });
 }
 
-// By NVRTC 12.2 for sm_90, see kernel_resources.txt: a kernel may take a tenth more than it did.
 TR_TEST(kernels_take_no_more_of_a_card) {
-    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
-    if (!nvrtc) return;
-    if (nvrtc->version() != "12.2") {
-        std::printf("  left out: it is NVRTC %s, but what kernels take is known by 12.2\n", nvrtc->version().c_str());
-        return;
-    }
-    std::map<std::string, std::array<size_t, 4>> known;
-    std::ifstream file(sources() + "/tests/kernel_resources.txt");
-    for (std::string name, line; std::getline(file, line);) {
-        std::istringstream words(line);
-        std::array<size_t, 4> row{};
-        if (words >> name >> row[0] >> row[1] >> row[2] >> row[3]) known[name] = row;
-    }
-    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache("/proc/torchrender_none"));
-    // Of a room of meshes in which everything is diffuse, of one colour, and of one that has more.
-    SceneFacts room, more;
-    room.shape_flags = HasNormals | HasTexcoords, room.textures = 1, room.emitters = 1, room.sensors = 1;
-    room.pinhole = true, room.sampler = int32_t(SamplerKind::Sobol);
-    more = room;
+    SceneFacts room = facts_of_room(), more = room;  // one that has more
     more.shape_flags |= IsSphere | FlipNormals, more.textures = 3, more.textured = true, more.emitters = 15;
     more.stacks = true;
     SceneFacts fields = room;
@@ -361,99 +336,82 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     SceneFacts light = room, recorded_light = recorded, moved_light = moved;
     light.light_paths = recorded_light.light_paths = moved_light.light_paths = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
-    struct Case {
-        const Kernel &kernel;
-        const SceneFacts &facts;
-        int bsdf;
-        const char *suffix;
-    };
-    for (const Case &each : {Case{kernel_of<StartPaths<float>>(), room, -1, ""},
-                             {kernel_of<TracePaths<float>>(), room, -1, ""},
-                             {kernel_of<TraceShadows<float>>(), room, -1, ""},
-                             {kernel_of<TracePaths<float>>(), more, -1, ",more"},
-                             {kernel_of<TracePaths<float>>(), fields, -1, ",fields"},
-                             {kernel_of<TracePaths<float>>(), grids, -1, ",grids"},
-                             {kernel_of<ShadeHits<float>>(), grids, diffuse, ",diffuse,grids"},
-                             {kernel_of<SweepVertices<float>>(), moved_grids, diffuse, ",diffuse,grids,moved"},
-                             {kernel_of<ClassifyHits<float>>(), room, -1, ""},
-                             {kernel_of<ShadeHits<float>>(), room, diffuse, ",diffuse"},
-                             {kernel_of<TracePaths<double>>(), room, -1, ""},
-                             {kernel_of<ShadeHits<double>>(), room, diffuse, ",diffuse"},
-                             {kernel_of<SweepVertices<double>>(), recorded, diffuse, ",diffuse"},
-                             {kernel_of<SweepVertices<double>>(), fixed, diffuse, ",diffuse,fixed"},
-                             {kernel_of<SettleSums<double>>(), room, -1, ""},
-                             {kernel_of<FlyRays<double>>(), cloud, -1, ""},
-                             {kernel_of<SplatConnections<double>>(), light, -1, ""},
-                             {kernel_of<WriteImage<double>>(), room, -1, ""},
-                             {kernel_of<ShadeHits<float>>(), more, diffuse, ",diffuse,more"},
-                             {kernel_of<ShadeHits<float>>(), more, principled, ",principled,more"},
-                             {kernel_of<ShadeHits<float>>(), more, MissKind, ",miss,more"},
-                             {kernel_of<ShadeHits<float>>(), recorded, diffuse, ",diffuse,recorded"},
-                             {kernel_of<SweepVertices<float>>(), recorded, diffuse, ",diffuse"},
-                             {kernel_of<SweepVertices<float>>(), recorded, MissKind, ",miss"},
-                             {kernel_of<SweepVertices<float>>(), forward, diffuse, ",diffuse,forward"},
-                             {kernel_of<SweepVertices<float>>(), fixed, diffuse, ",diffuse,fixed"},
-                             {kernel_of<ShadeHits<float>>(), moved, diffuse, ",diffuse,recorded,moved"},
-                             {kernel_of<SweepVertices<float>>(), moved, diffuse, ",diffuse,moved"},
-                             {kernel_of<BeginMedia<float>>(), cloud, -1, ""},
-                             {kernel_of<FlyRays<float>>(), cloud, -1, ""},
-                             {kernel_of<FlyRays<float>>(), colored, -1, ",colored"},
-                             {kernel_of<ShadeInMedia<float>>(), cloud, CollisionKind, ",collision"},
-                             {kernel_of<ShadeInMedia<float>>(), recorded_cloud, CollisionKind, ",collision,recorded"},
-                             {kernel_of<ShadeInMedia<float>>(), recorded_cloud, diffuse, ",diffuse,recorded"},
-                             {kernel_of<TransmitShadows<float>>(), cloud, -1, ""},
-                             {kernel_of<TransmitShadows<float>>(), recorded_cloud, -1, ",recorded"},
-                             {kernel_of<StartBranches<float>>(), cloud, -1, ""},
-                             {kernel_of<FinishBranches<float>>(), cloud, -1, ""},
-                             {kernel_of<SweepVertices<float>>(), recorded_cloud, CollisionKind, ",collision"},
-                             {kernel_of<SweepVertices<float>>(), moved_cloud, CollisionKind, ",collision,moved"},
-                             {kernel_of<StartLightPaths<float>>(), light, -1, ""},
-                             {kernel_of<ShadeLightPaths<float>>(), light, diffuse, ",diffuse"},
-                             {kernel_of<ShadeLightPaths<float>>(), recorded_light, diffuse, ",diffuse,recorded"},
-                             {kernel_of<TraceConnections<float>>(), light, -1, ""},
-                             {kernel_of<SplatConnections<float>>(), light, -1, ""},
-                             {kernel_of<CollectConnections<float>>(), light, -1, ""},
-                             {kernel_of<KeepConnections<float>>(), light, -1, ""},
-                             {kernel_of<SetAdjoints<float>>(), light, -1, ""},
-                             {kernel_of<SplatTangents<float>>(), light, -1, ""},
-                             {kernel_of<SweepLightVertices<float>>(), recorded_light, EmissionKind, ",emission"},
-                             {kernel_of<SweepLightVertices<float>>(), recorded_light, diffuse, ",diffuse"},
-                             {kernel_of<SweepLightVertices<float>>(), moved_light, EmissionKind, ",emission,moved"},
-                             {kernel_of<SweepLightVertices<float>>(), moved_light, diffuse, ",diffuse,moved"},
-                             {kernel_of<EvaluateOutputs<float>>(), room, -1, ""},
-                             {kernel_of<EvaluateOutputs<float>>(), more, -1, ",more"},
-                             {kernel_of<SweepOutputs<float>>(), room, -1, ""},
-                             {kernel_of<SweepOutputs<float>>(), output_moved, -1, ",moved"},
-                             {kernel_of<StartCentres<float>>(), room, -1, ""},
-                             {kernel_of<AddOutputsToFilm<float>>(), room, -1, ""},
-                             {kernel_of<CollectOutputs<float>>(), room, -1, ""},
-                             {kernel_of<PlaceSamples<float>>(), room, -1, ""},
-                             {kernel_of<DivideAdjoint<float>>(), room, -1, ""},
-                             {kernel_of<CollectAdjoints<float>>(), room, -1, ""},
-                             {kernel_of<SumCopies>(), room, -1, ""},
-                             {kernel_of<SettleSums<float>>(), room, -1, ""},
-                             {kernel_of<NumberSamples<float>>(), room, -1, ""},
-                             {kernel_of<CountKeys>(), room, -1, ""},
-                             {kernel_of<SumKeys>(), room, -1, ""},
-                             {kernel_of<PlaceKeys>(), room, -1, ""},
-                             {kernel_of<FillWords>(), room, -1, ""},
-                             {kernel_of<FillNumbers<float>>(), room, -1, ""},
-                             {kernel_of<AddToFilm<float>>(), room, -1, ""},
-                             {kernel_of<WriteImage<float>>(), room, -1, ""},
-                             {kernel_of<IntersectRays>(), room, -1, ""},
-                             {kernel_of<OccludeRays>(), room, -1, ""},
-                             {kernel_of<OccludeRays>(), fields, -1, ",fields"}}) {
-        const std::string name = each.kernel.name + std::string(each.suffix);
-        const auto [registers, stack, spilled, code] =
-            compiler.resources(each.kernel, 90, each.facts.options(each.kernel.knows, each.bsdf));
-        const std::array<size_t, 4> found{registers, stack, spilled, code};
-        bool within = known.count(name) != 0;
-        for (size_t k = 0; within && k < 4; ++k) within = 10 * found[k] <= 11 * known[name][k];
-        if (!within)
-            report(__FILE__, __LINE__,
-                   "more than kernel_resources.txt has, or nothing there: " + name + " " + std::to_string(registers) +
-                       " " + std::to_string(stack) + " " + std::to_string(spilled) + " " + std::to_string(code));
-    }
+    check_resources({{kernel_of<StartPaths<float>>(), room, -1, ""},
+                     {kernel_of<TracePaths<float>>(), room, -1, ""},
+                     {kernel_of<TraceShadows<float>>(), room, -1, ""},
+                     {kernel_of<TracePaths<float>>(), more, -1, ",more"},
+                     {kernel_of<TracePaths<float>>(), fields, -1, ",fields"},
+                     {kernel_of<TracePaths<float>>(), grids, -1, ",grids"},
+                     {kernel_of<ShadeHits<float>>(), grids, diffuse, ",diffuse,grids"},
+                     {kernel_of<SweepVertices<float>>(), moved_grids, diffuse, ",diffuse,grids,moved"},
+                     {kernel_of<ClassifyHits<float>>(), room, -1, ""},
+                     {kernel_of<ShadeHits<float>>(), room, diffuse, ",diffuse"},
+                     {kernel_of<TracePaths<double>>(), room, -1, ""},
+                     {kernel_of<ShadeHits<double>>(), room, diffuse, ",diffuse"},
+                     {kernel_of<SweepVertices<double>>(), recorded, diffuse, ",diffuse"},
+                     {kernel_of<SweepVertices<double>>(), fixed, diffuse, ",diffuse,fixed"},
+                     {kernel_of<SettleSums<double>>(), room, -1, ""},
+                     {kernel_of<FlyRays<double>>(), cloud, -1, ""},
+                     {kernel_of<SplatConnections<double>>(), light, -1, ""},
+                     {kernel_of<WriteImage<double>>(), room, -1, ""},
+                     {kernel_of<ShadeHits<float>>(), more, diffuse, ",diffuse,more"},
+                     {kernel_of<ShadeHits<float>>(), more, principled, ",principled,more"},
+                     {kernel_of<ShadeHits<float>>(), more, MissKind, ",miss,more"},
+                     {kernel_of<ShadeHits<float>>(), recorded, diffuse, ",diffuse,recorded"},
+                     {kernel_of<SweepVertices<float>>(), recorded, diffuse, ",diffuse"},
+                     {kernel_of<SweepVertices<float>>(), recorded, MissKind, ",miss"},
+                     {kernel_of<SweepVertices<float>>(), forward, diffuse, ",diffuse,forward"},
+                     {kernel_of<SweepVertices<float>>(), fixed, diffuse, ",diffuse,fixed"},
+                     {kernel_of<ShadeHits<float>>(), moved, diffuse, ",diffuse,recorded,moved"},
+                     {kernel_of<SweepVertices<float>>(), moved, diffuse, ",diffuse,moved"},
+                     {kernel_of<BeginMedia<float>>(), cloud, -1, ""},
+                     {kernel_of<FlyRays<float>>(), cloud, -1, ""},
+                     {kernel_of<FlyRays<float>>(), colored, -1, ",colored"},
+                     {kernel_of<ShadeInMedia<float>>(), cloud, CollisionKind, ",collision"},
+                     {kernel_of<ShadeInMedia<float>>(), recorded_cloud, CollisionKind, ",collision,recorded"},
+                     {kernel_of<ShadeInMedia<float>>(), recorded_cloud, diffuse, ",diffuse,recorded"},
+                     {kernel_of<TransmitShadows<float>>(), cloud, -1, ""},
+                     {kernel_of<TransmitShadows<float>>(), recorded_cloud, -1, ",recorded"},
+                     {kernel_of<StartBranches<float>>(), cloud, -1, ""},
+                     {kernel_of<FinishBranches<float>>(), cloud, -1, ""},
+                     {kernel_of<SweepVertices<float>>(), recorded_cloud, CollisionKind, ",collision"},
+                     {kernel_of<SweepVertices<float>>(), moved_cloud, CollisionKind, ",collision,moved"},
+                     {kernel_of<StartLightPaths<float>>(), light, -1, ""},
+                     {kernel_of<ShadeLightPaths<float>>(), light, diffuse, ",diffuse"},
+                     {kernel_of<ShadeLightPaths<float>>(), recorded_light, diffuse, ",diffuse,recorded"},
+                     {kernel_of<TraceConnections<float>>(), light, -1, ""},
+                     {kernel_of<SplatConnections<float>>(), light, -1, ""},
+                     {kernel_of<CollectConnections<float>>(), light, -1, ""},
+                     {kernel_of<KeepConnections<float>>(), light, -1, ""},
+                     {kernel_of<SetAdjoints<float>>(), light, -1, ""},
+                     {kernel_of<SplatTangents<float>>(), light, -1, ""},
+                     {kernel_of<SweepLightVertices<float>>(), recorded_light, EmissionKind, ",emission"},
+                     {kernel_of<SweepLightVertices<float>>(), recorded_light, diffuse, ",diffuse"},
+                     {kernel_of<SweepLightVertices<float>>(), moved_light, EmissionKind, ",emission,moved"},
+                     {kernel_of<SweepLightVertices<float>>(), moved_light, diffuse, ",diffuse,moved"},
+                     {kernel_of<EvaluateOutputs<float>>(), room, -1, ""},
+                     {kernel_of<EvaluateOutputs<float>>(), more, -1, ",more"},
+                     {kernel_of<SweepOutputs<float>>(), room, -1, ""},
+                     {kernel_of<SweepOutputs<float>>(), output_moved, -1, ",moved"},
+                     {kernel_of<StartCentres<float>>(), room, -1, ""},
+                     {kernel_of<AddOutputsToFilm<float>>(), room, -1, ""},
+                     {kernel_of<CollectOutputs<float>>(), room, -1, ""},
+                     {kernel_of<PlaceSamples<float>>(), room, -1, ""},
+                     {kernel_of<DivideAdjoint<float>>(), room, -1, ""},
+                     {kernel_of<CollectAdjoints<float>>(), room, -1, ""},
+                     {kernel_of<SumCopies>(), room, -1, ""},
+                     {kernel_of<SettleSums<float>>(), room, -1, ""},
+                     {kernel_of<NumberSamples<float>>(), room, -1, ""},
+                     {kernel_of<CountKeys>(), room, -1, ""},
+                     {kernel_of<SumKeys>(), room, -1, ""},
+                     {kernel_of<PlaceKeys>(), room, -1, ""},
+                     {kernel_of<FillWords>(), room, -1, ""},
+                     {kernel_of<FillNumbers<float>>(), room, -1, ""},
+                     {kernel_of<AddToFilm<float>>(), room, -1, ""},
+                     {kernel_of<WriteImage<float>>(), room, -1, ""},
+                     {kernel_of<IntersectRays>(), room, -1, ""},
+                     {kernel_of<OccludeRays>(), room, -1, ""},
+                     {kernel_of<OccludeRays>(), fields, -1, ",fields"}});
 }
 
 }  // namespace tr::testing

@@ -30,6 +30,16 @@ def test_black_pictures_are_explained(name):
     assert said(scene) == []  # once
 
 
+def test_pictures_of_one_pixel_that_sees_all():
+    """Through its lens, somewhere in which it meets something, or nowhere."""
+    camera = {"type": "distant", "direction": [0, 0, -1], "film": {"type": "hdrfilm", "width": 1, "height": 1}}
+    for ball, text in ((BACK, r"surfaces that the camera sees \(ball\) turn their backs"), (None, "no ray")):
+        given = objects(ball=ball, sky=POINT, camera=camera)
+        scene = tr.load_dict({k: v for k, v in given.items() if v is not None})
+        with pytest.warns(UserWarning, match=text):
+            assert not bool(tr.render(scene, spp=1, seed=0).any())
+
+
 @pytest.mark.parametrize(
     "more",
     [

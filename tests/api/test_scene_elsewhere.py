@@ -68,7 +68,9 @@ def test_images_and_gradients(scenes, device, backend):
         again = scene(**SETTINGS)
         assert again.device == image.device == scene.device
         found.append([image, again, *gradients(again, parameters)])
-    assert all(torch.equal(on_host(there), here) for here, there in zip(*found, strict=True))
+    for here, there in zip(*found, strict=True):  # the order of derivatives, and of sums of texels, is autograd's
+        torch.testing.assert_close(on_host(there), here, rtol=0, atol=2e-7 * float(here.abs().max()))
+    assert torch.equal(on_host(found[1][0]), found[0][0])
     assert torch.equal(found[0][0], found[0][1])
     assert all(g.abs().sum() > 0 for g in found[0][2:])
     assert scenes[1].updates == scenes[0].updates

@@ -223,8 +223,19 @@ def test_outputs(device):
     check_equal(*found)
 
 
+def test_what_is_copied_for_edges_that_move(there):
+    """No texels, which the device has: the vertices, and the adjoint of the picture, which the host weights."""
+    there.train_only("sheet.vertex_positions", "ball.center")
+    with torch.no_grad():
+        there.get_parameter(PAPER).mul_(0.9)
+    tr.render(there, visibility=True, **SETTINGS).square().sum().backward()
+    assert there.statistics["visibility"]["shadows"]["rays"] > 0
+    large = {t for t in card.transfers if torch.Size(t[1]).numel() > 64}
+    assert large and (FROM, TEXELS) not in large and large <= {(FROM, IMAGE), (TO, IMAGE), (TO, (36, 3))}, large
+
+
 def test_edges_that_move(device):
-    """Their derivative is the CPU's, to which the textures are copied."""
+    """The motion of those of outputs is the CPU's, to which the textures are copied."""
     names = (PAPER, COLOUR, "ball.center", "sheet.vertex_positions", "sensor.to_world")
     found = []
     for scene in scenes():
@@ -235,6 +246,21 @@ def test_edges_that_move(device):
         assert scene.statistics["visibility"]["silhouettes"]["samples"] > 0
     check_equal(*(gradient[:1] for gradient in found))
     check_close(*found)  # the CPU's threads add in any order
+
+
+def test_edges_beside_what_stays(device):
+    """In both modes: lights are trained that show texels of the card, which their edges do not move."""
+    names, found = (SKY, LAMP, "ball.center", "sheet.vertex_positions"), []
+    for scene in scenes():
+        found.append(image_and_gradients(scene, names, visibility=True))
+        scene.train_only()
+        values = {name: scene.get_parameter(name).detach() for name in names}
+
+        def image(params: dict[str, torch.Tensor], scene: tr.Scene = scene) -> torch.Tensor:
+            return tr.render(scene, params=params, visibility=True, **SETTINGS)
+
+        found[-1].extend(torch.func.jvp(image, (values,), ({n: 0.5 * v for n, v in values.items()},)))
+    check_close(*found)
 
 
 def test_grids_and_fields(device):

@@ -82,24 +82,28 @@ def test_everything_that_a_scene_launches_is_compiled(nvrtc, tmp_path):
     scene = tr.load_dict(small_scene.ball_and_wall())
     scene.train_only("*.reflectance.value")
     trained = [name for name, p in scene.named_parameters() if p.requires_grad]
-    first = compile_kernels(scene, 90, tmp_path)
+    first = compile_kernels(scene, 90, tmp_path, edges=False)
     assert first == len(list(tmp_path.iterdir())) > 20
     found = kernels(tmp_path)
     assert {"ShadeHits", "SweepVertices", "TracePaths", "TraceShadows", "AddToFilm", "IntersectRays"} <= set(found)
     assert "-arch=sm_90" in found["ShadeHits"]
     assert {"-DTR_MOTION=0", "-DTR_MOTION=1"} <= found["SweepVertices"]
     assert "-DTR_FORWARD=1" not in found["SweepVertices"] and "-DTR_FIXED_SUMS=1" not in found["SweepVertices"]
-    assert compile_kernels(scene, 90, tmp_path) == 0
-    assert compile_kernels(scene, 90, tmp_path, forward=True, deterministic=True) > 0
+    assert compile_kernels(scene, 90, tmp_path, edges=False) == 0
+    assert compile_kernels(scene, 90, tmp_path, forward=True, deterministic=True, edges=False) > 0
     assert {"-DTR_FORWARD=1", "-DTR_FIXED_SUMS=1"} <= kernels(tmp_path)["SweepVertices"]
-    assert compile_kernels(scene, 90, tmp_path, outputs=True) > 0
+    assert compile_kernels(scene, 90, tmp_path, outputs=True, edges=False) > 0
     more = {"EvaluateOutputs", "SweepOutputs", "AddOutputsToFilm", "CollectOutputs", "StartCentres"}
     assert more <= set(kernels(tmp_path))
+    of_edges = {"FindSights", "FindEdges", "ChooseOutlines", "SweepPlaces"}
+    assert not of_edges & set(kernels(tmp_path))
+    assert compile_kernels(scene, 90, tmp_path) > 10
+    assert of_edges <= set(kernels(tmp_path))
     double = tr.load_dict(small_scene.ball_and_wall(), dtype=torch.float64)
-    compile_kernels(double, 90, tmp_path / "double")
+    compile_kernels(double, 90, tmp_path / "double", edges=False)
     assert {"ShadeHits<double>", "TracePaths<double>", "AddToFilm<double>"} <= set(kernels(tmp_path / "double"))
-    assert compile_kernels(scene, 80, tmp_path / "others") == first
-    assert compile_kernels(scene, 90, tmp_path / "again") == first  # another folder has its own
+    assert compile_kernels(scene, 80, tmp_path / "others", edges=False) == first
+    assert compile_kernels(scene, 90, tmp_path / "again", edges=False) == first  # another folder has its own
     assert [name for name, p in scene.named_parameters() if p.requires_grad] == trained
     assert not torch.are_deterministic_algorithms_enabled()
     assert float(tr.render(scene, spp=1).mean()) > 0  # on the CPU again
@@ -107,7 +111,7 @@ def test_everything_that_a_scene_launches_is_compiled(nvrtc, tmp_path):
 
 def test_kernels_that_are_there_need_no_compiler(nvrtc, tmp_path):
     scene = tr.load_dict(small_scene.ball_and_wall())
-    compile_kernels(scene, 90, tmp_path)
+    compile_kernels(scene, 90, tmp_path, edges=False)
     nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
     nvrtc.setenv("TORCHRENDER_KERNELS", str(tmp_path))
     with devices.chosen("sm_90"):
@@ -126,7 +130,7 @@ def test_kernels_that_are_there_need_no_compiler(nvrtc, tmp_path):
 
 def test_cards_without_kernels_of_their_own_take_ptx_of_older_ones(nvrtc, tmp_path):
     scene = tr.load_dict(small_scene.ball_and_wall())
-    assert compile_kernels(scene, 80, tmp_path, ptx=True) > 10
+    assert compile_kernels(scene, 80, tmp_path, ptx=True, edges=False) > 10
     assert "-arch=compute_80" in kernels(tmp_path)["ShadeHits"]
     nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
     nvrtc.setenv("TORCHRENDER_KERNELS", str(tmp_path))
@@ -146,7 +150,7 @@ def test_kernels_of_the_package(nvrtc, tmp_path):
     nvrtc.setattr(devices, "PACKS", packs)
     assert devices.compiled_before() == []
     scene = tr.load_dict(small_scene.ball_and_wall())
-    compile_kernels(scene, 90, packs)
+    compile_kernels(scene, 90, packs, edges=False)
     nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
     nvrtc.setenv("TORCHRENDER_CACHE", str(tmp_path / "cache"))
     with devices.chosen("sm_90"):

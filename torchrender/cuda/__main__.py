@@ -50,6 +50,7 @@ def main() -> int:
     made.add_argument("--outputs", action="store_true", help="other outputs than images, such as depth, too")
     made.add_argument("--forward", action="store_true", help="forward-mode derivatives, too")
     made.add_argument("--deterministic", action="store_true", help="deterministic gradients, too")
+    made.add_argument("--no-edges", action="store_false", dest="edges", help="without those of edges that move")
     made.add_argument("--double", action="store_true", help="in double precision, in place of single")
     options = parser.parse_args()
     if options.command == "compile":
@@ -62,7 +63,7 @@ def compile_all(options: argparse.Namespace) -> int:
     for path in options.scenes:
         for ptx, capability in [*((False, c) for c in options.capabilities), *((True, c) for c in options.ptx)]:
             begin, told = time.perf_counter(), f"{path}, {'compute' if ptx else 'sm'}_{capability}"
-            settings = {name: getattr(options, name) for name in ("outputs", "forward", "deterministic")}
+            settings = {name: getattr(options, name) for name in ("outputs", "forward", "deterministic", "edges")}
             try:
                 scene = load_file(path, dtype=torch.float64 if options.double else torch.float32)
                 new = compile_kernels(scene, capability, options.into, ptx=ptx, **settings)

@@ -44,8 +44,8 @@ With the principled BSDF the CPU's packets and single numbers differ by 0.018.
 MOST_OFF_IN_DOUBLE = 1e-6
 """... in double precision, in which rounding sends no path another way."""
 
-STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "double", "moved", "rates", "kernels")
-STEPS += ("sanitizers",)
+STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "edges", "double", "moved", "rates")
+STEPS += ("kernels", "sanitizers")
 OUTPUTS = ("depth", "position", "shading_normal", "uv", "dp_du", "albedo", "roughness", "shape_id")
 
 ROWS = {
@@ -241,7 +241,7 @@ class Check:
     def gradients(self) -> dict[str, Any]:
         """Of `rooms`, by all parameters: the largest difference from the CPU's, of its largest number.
 
-        Of what moves, whose gradients cancel, of the largest number of those; without edges, which are the CPU's.
+        Of what moves, whose gradients cancel, of the largest number of those; without edges, see `edges`.
         """
         found, passed = {}, True
         for kind, described in rooms().items():
@@ -266,6 +266,35 @@ class Check:
             found[kind] = {"off by": off[worst], "in": worst, "of": len(off)}
             passed = passed and all(x < MOST_OFF for x in off.values())  # which NaN is not, but may not be the worst
         return {"passed": passed, "gradients": found}
+
+    def edges(self) -> dict[str, Any]:
+        """What edges add to gradients by what moves them, of some of `rooms`, as in `gradients`; the same twice."""
+        found, passed, described = {}, True, rooms()
+        for kind in ("diffuse", "roughplastic", "dielectric", "heightfield"):
+            scene = load_dict(described[kind])
+            moving = {slot.name for slot in scene.layout().slots if moves_rays(slot)}
+            names = [name for name in train_all(scene) if name in moving]
+            scene.train_only(*names)
+
+            def gradients(scene: Scene = scene, names: list[str] = names) -> list[torch.Tensor]:
+                off = [
+                    torch.autograd.grad(
+                        render(scene, spp=4, spp_grad=16, seed=3, visibility=edges).square().sum(),
+                        [scene.get_parameter(n) for n in names],
+                    )
+                    for edges in (True, False)
+                ]
+                return [a - b for a, b in zip(*off, strict=True)]
+
+            expected, got = self.both(gradients)
+            with deterministic_algorithms(True):
+                repeats = all(torch.equal(a, b) for a, b in zip(gradients(), gradients(), strict=True))
+            largest = max(a.abs().max().item() for a in expected)
+            off = {n: (b - a).abs().max().item() / largest for n, a, b in zip(names, expected, got, strict=True)}
+            worst = max(off, key=lambda name: off[name])
+            found[kind] = {"off by": off[worst], "in": worst, "of": len(off), "repeats": repeats}
+            passed = passed and repeats and all(x < MOST_OFF for x in off.values())
+        return {"passed": passed, "edges": found}
 
     def double(self) -> dict[str, Any]:
         """Images and their gradients by all parameters in double precision, without edges, as those of `gradients`."""
@@ -428,6 +457,7 @@ def check(card: str, out: Path, scenes: Path, commit: str, only: Sequence[str] =
         run.step("images", run.images)
         run.step("outputs", run.outputs)
         run.step("gradients", run.gradients)
+        run.step("edges", run.edges)
         run.step("double", run.double)
         run.step("moved", run.moved)
         if scenes.is_dir():

@@ -24,6 +24,7 @@ def compile_kernels(
     outputs: bool = False,
     forward: bool = False,
     deterministic: bool = False,
+    edges: bool = True,
     ptx: bool = False,
 ) -> int:
     """Compile what `tr.render`, its derivatives and ray queries launch for a scene on a card; returns how many are new.
@@ -38,6 +39,7 @@ def compile_kernels(
         outputs: also those of other outputs than images, such as depth.
         forward: also derivatives in forward mode.
         deterministic: also those under ``torch.use_deterministic_algorithms(True)``.
+        edges: also those of edges that move, which derivatives by what moves have but with ``visibility=False``.
         ptx: in place of machine code make PTX, which the drivers of these and of later cards compile when it is used,
             where there are neither machine code for them nor NVRTC.
 
@@ -51,7 +53,7 @@ def compile_kernels(
     with devices.chosen(place), devices.compiling_into(scene_core(), folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pictures are black
         try:
-            _launch(scene, ("rgb", "depth", "shape_id") if outputs else ("rgb",), forward, deterministic)
+            _launch(scene, ("rgb", "depth", "shape_id") if outputs else ("rgb",), forward, deterministic, edges)
         finally:
             scene.train_only(*trained)
     return kernels_in(folder) - before
@@ -62,11 +64,11 @@ def kernels_in(folder: Path) -> int:
     return sum(1 for _ in folder.glob("*.cubin"))
 
 
-def _launch(scene: Scene, outputs: tuple[str, ...], forward: bool, deterministic: bool) -> None:
+def _launch(scene: Scene, outputs: tuple[str, ...], forward: bool, deterministic: bool, edges: bool) -> None:
     """Calls that launch everything."""
 
     def total(**settings: Any) -> torch.Tensor:
-        found = render(scene, spp=1, seed=0, outputs=outputs, visibility=False, **settings)
+        found = render(scene, spp=1, seed=0, outputs=outputs, visibility=edges, **settings)
         return torch.stack([x.sum() for x in found if x.is_floating_point()]).sum()
 
     rays = torch.zeros(1, 3), torch.ones(1, 3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import repeat
 from operator import and_
 from typing import Any
@@ -104,7 +104,8 @@ class NativeScene:
         if function not in FUNCTIONS:
             require_cpu(function, self.device())
         with self.lock:
-            there, alone = self._there(function, params)
+            computing = self._computing(function, args)
+            there, alone = self._there(computing, params)
             if there:
                 params = [t if t.is_cpu or a else numbers_on_host(t) for t, a in zip(params, alone, strict=True)]
             addresses = [address(t) for t in params] if there else [t.data_ptr() for t in params]
@@ -120,8 +121,12 @@ class NativeScene:
                     watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)
                     if isinstance(settings, dict):
                         settings = {name: value for name, value in settings.items() if name != "progress"}
-                    if function in RENDERS:
-                        settings |= {"device": self.device(), **self._placed(there, alone, settings)}
+                    if isinstance(settings, dict) and computing != "cpu":
+                        settings |= {"device": computing, **self._placed(there, alone, settings)}
+                    elif computing != "cpu":  # of several calls
+                        configs, *others = settings
+                        placed = self._placed(there, alone, {})
+                        settings = [{**config, "device": computing, **placed} for config in configs], *others
                     found = getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 else:
                     found = getattr(self.handle, function)(*args, addresses, dirty)
@@ -135,11 +140,18 @@ class NativeScene:
                     self._check_finite(params, repeat(True))
                 raise
 
-    def _there(self, function: str, params: list[torch.Tensor]) -> tuple[list[bool], list[bool]]:
+    def _computing(self, function: str, args: Sequence[Any]) -> str:
+        """What computes it: of edges that move in media, for light paths and of outputs that is the CPU everywhere."""
+        if function in ("find_outlines", "boundary"):
+            configs = [args[0]] if function == "find_outlines" else args[0][0]
+            elsewhere = any(config.get(name) for config in configs for name in ("volumetric", "glued", "of_outputs"))
+            return "cpu" if elsewhere or not configs else self.device()
+        return self.device() if function in RENDERS else "cpu"
+
+    def _there(self, computing: str, params: list[torch.Tensor]) -> tuple[list[bool], list[bool]]:
         """Which of `params` lie in the memory of what renders, and which of them are read there alone; else nothing."""
         if self.home is None or self.home.type == "cpu":
             return [], []
-        computing = self.device() if function in RENDERS else "cpu"
         there = [not t.is_cpu and holds(computing, t.device) for t in params]
         return there, [t and staying(self.layout).get(i, False) for i, t in enumerate(there)]
 

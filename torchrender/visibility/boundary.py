@@ -100,7 +100,7 @@ class _Jvp(DerivativeFunction):
             total = seen.film.empty()
             placing = all_placing_slots(call.layout)
             dense = dense_tangents(params, tangents, call.native.dtype)
-            dense = [t if i in placing else None for i, t in enumerate(dense)]
+            dense = [t.to("cpu") if t is not None and i in placing else None for i, t in enumerate(dense)]
             with outlines_of(boundary, params, seen.film, threads) as outlines:
                 outlines.forward(total, dense)
             return seen.tangents(total)

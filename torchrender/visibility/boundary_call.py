@@ -42,11 +42,15 @@ class BoundaryCall:
 
 
 def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int], list[int]]]:
-    """Of all objects of a category: type, slots of what may place them, and of their normals, which move their rims."""
+    """Of all objects of a category: type, slots of what may place them, and of their normals, which move their rims.
+
+    Tensors of lights are what they show.
+    """
+    kinds = [kind for kind in PLACING if (category, kind) != ("emitter", "tensor")]
     found = []
     for kind, numbers, _ in layout.objects[category]:
         fields = models()[category, kind].fields
-        given = [(f.name, n) for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
+        given = [(f.name, n) for n, f in zip(numbers, fields, strict=True) if f.kind in kinds and n >= 0]
         placing = [n for name, n in given if name not in SHADING]
         found.append((kind, placing, [n for name, n in given if name == NORMALS]))
     return found

@@ -59,9 +59,10 @@ class Outlines:
         self.boundary, self.film, self.params = boundary, film, list(params)
         self.call = call = boundary.call
         outputs = boundary.outputs
-        settings = {} if outputs is None else outputs.settings()
+        settings = {} if outputs is None else outputs.settings() | {"of_outputs": True}
         self.names = {} if outputs is None else dict.fromkeys(outputs.core_names(), 1)
-        self.configs = [{**c, **settings, "threads": threads} for c in call.configs(derivative=True)]
+        settings |= {"threads": threads, "fixed_sums": torch.are_deterministic_algorithms_enabled()}
+        self.configs = [{**c, **settings} for c in call.configs(derivative=True)]
         self.statistics: dict[str, dict[str, float]] = {}
         call.statistics["visibility" if outputs is None else "visibility_outputs"] = self.statistics
         self.moves = boundary.moves.to(torch.uint8).contiguous()
@@ -115,12 +116,12 @@ class Outlines:
     def reverse(self, adjoint: torch.Tensor, grads: Sequence[torch.Tensor | None]) -> None:
         """Adds to the gradients, by slot; `adjoint` (H, W, channels) is that of the film, see `FilmPlaces`."""
         adjoint = adjoint.contiguous()
-        addresses = [0 if g is None else g.data_ptr() for i, g in enumerate(grads)]
+        addresses = [0 if g is None else g.data_ptr() for g in grads]
         self._call(list(self._blocks(1 << 62)), {"adjoint": adjoint.data_ptr()}, addresses, False)
 
     def forward(self, total: torch.Tensor, tangents: Sequence[torch.Tensor | None]) -> None:
         """Adds to the sums of the film, for tangents by slot."""
-        addresses = [0 if t is None else t.data_ptr() for i, t in enumerate(tangents)]
+        addresses = [0 if t is None else t.data_ptr() for t in tangents]
         for part, config, numbers in self._blocks(BLOCK):
             rows = int(numbers["count"]) * (2 if part == "shadows" else 1)
             place = torch.zeros(rows, 2, dtype=torch.float64)
@@ -141,7 +142,7 @@ class Outlines:
                     yield part, config, {**numbers, "first": number * count + begin, "count": min(size, end - begin)}
 
     def _count(self, part: str) -> int:
-        """Samples of a part in a pass: short silhouettes get fewer; shadows a power of two, see boundary_lights.h."""
+        """Samples of a part in a pass: fewer for short silhouettes, a power of two for shadows (shadows.h)."""
         seen, shadows, reflections = self.boundary.spp
         usual = self.boundary.by_length
         if part in ("silhouettes", "outputs"):

@@ -13,7 +13,7 @@ using F = PacketOf<float>;
 using M = MaskOf<F>;
 constexpr size_t W = size_t(Lanes<F>::Width);
 constexpr float pi = float(Pi);
-constexpr size_t Wide = OutlineWide;
+constexpr size_t Wide = OutlineWide, Aligned = W > 1 ? 64 : alignof(float);
 static_assert(Wide % W == 0);
 
 // Numbers of a counter (Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
@@ -68,9 +68,10 @@ TR_INLINE F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_
            grazing;
 }
 
+#if TR_HAS_PACKETS
 // Sums of numbers up to each; in a register where there is one, since what is stored piecewise is slow to load.
 TR_HD inline void sum_up(const float (&each)[Wide], float (&sum)[Wide]) {
-#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
+#if defined(DRJIT_X86_AVX512)
     const __m512i zero = _mm512_setzero_si512();
     __m512 v = _mm512_loadu_ps(each);
     auto add = [&](__m512i shifted) { v = _mm512_add_ps(v, _mm512_castsi512_ps(shifted)); };
@@ -84,26 +85,44 @@ TR_HD inline void sum_up(const float (&each)[Wide], float (&sum)[Wide]) {
     for (size_t k = 1; k < Wide; ++k) sum[k] = sum[k - 1] + each[k];
 #endif
 }
+#endif
 
-// Sixteen weights, none of them negative, added up.
+// Sixteen weights, none of them negative, added up; sums up to each are kept where there are packets. (A device has
+// little room for what is a thread's own.)
 struct Weights {
-    alignas(64) float each[Wide], sum[Wide];
-
+    alignas(Aligned) float each[Wide];
+#if TR_HAS_PACKETS
+    alignas(Aligned) float sum[Wide];
     TR_HD float total() const { return sum[Wide - 1]; }
+#else
+    float sum;
+    TR_HD float total() const { return sum; }
+#endif
+
     // False if they are all zero. What is not finite counts as that.
     TR_HD bool add_up() {
         for (size_t i = 0; i < Wide; i += W) {
             const F w = load<F>(&each[i]);
             store(&each[i], select(mask<F>(w > F(0)) && mask<F>(w < F(1e30f)), w, F(0)));
         }
+#if TR_HAS_PACKETS
         sum_up(each, sum);
+#else
+        sum = 0;
+        for (const float w : each) sum += w;
+#endif
         return total() > 0;
     }
     // In proportion to the weights, for u in [0, 1).
     TR_HD size_t pick(float u) const {
         const F at(u * total());
         int k = 0;
+#if TR_HAS_PACKETS
         for (size_t i = 0; i < Wide; i += W) k += count(mask<F>(load<F>(&sum[i]) <= at));
+#else
+        float upto = 0;
+        for (const float w : each) upto += w, k += upto <= at;
+#endif
         for (k = std::min(k, int(Wide) - 1); !(each[k] > 0); --k) {}  // by rounding
         return size_t(k);
     }
@@ -131,7 +150,7 @@ struct Weights {
 // Of the edges of a leaf: a place along each, what it is chosen in proportion to, and that over the place's density.
 struct Candidates {
     Weights weights;
-    alignas(64) float s[Wide], target[Wide];
+    alignas(Aligned) float s[Wide], target[Wide];
 };
 
 // Whether some are near; then, what these may be at most.
@@ -180,7 +199,7 @@ TR_HD inline float curve_target(const OutlineLeaf &leaf, size_t k, const Outline
     float seen = 1;
     if (distance > r) {
         const float sine = r / distance;
-        alignas(64) float all[W];
+        alignas(Aligned) float all[W];
         store(&all[0], scattered(from, widen(a * (1 / distance)), F(std::sqrt(1 - sine * sine)), F(sine)));
         seen = all[0];
     }
@@ -189,8 +208,8 @@ TR_HD inline float curve_target(const OutlineLeaf &leaf, size_t k, const Outline
 
 // A place along each of the edges from one random number, in proportion to sin / r^2 where that varies: with l along
 // the line from its point next to `from`, h away, the integral of h / r^3 is l / (h r).
-TR_HD inline void propose(const OutlineTreeView &tree, size_t number, const OutlineAnchor &from, float u,
-                          Candidates &to) {
+TR_NOINLINE void propose(const OutlineTreeView &tree, size_t number, const OutlineAnchor &from, float u,
+                         Candidates &to) {
     OutlineLeaf space;
     LeafRounding rounding;
     const OutlineLeaf &leaf = tree.leaves.get(number, space, rounding);
@@ -254,7 +273,7 @@ public:
             const Near chosen = *most;
             *most = near_[--n_near_];
             Group &group = groups_[chosen.group];
-            group.nodes.weights.each[chosen.k] = 0;
+            group.weights().each[chosen.k] = 0;
             add(group.level - 1, group.number * Wide + chosen.k);
         }
         for (size_t g = 0; g < n_; ++g)
@@ -262,14 +281,11 @@ public:
     }
 
     TR_HD void draw(float u) {
-        total_ = 0, positive_ = 0;
+        u_ = u, total_ = 0, positive_ = 0;
         for (size_t g = 0; g < n_; ++g) {
             Group &group = groups_[g];
-            if (group.level < 0) {
-                propose(tree_, group.number, from_, u, group.nodes);
-                group.add_up();
-            }
-            if (group.positive > 0) total_ += group.nodes.weights.total(), positive_ += group.positive;
+            if (group.level < 0) group.propose(tree_, from_, u);
+            if (group.positive > 0) total_ += group.weights().total(), positive_ += group.positive;
         }
     }
 
@@ -283,25 +299,55 @@ public:
             if (g->positive == 0) continue;
             if (found && left < all) break;
             if (found) left -= all;
-            found = g, all = even ? float(g->positive) : g->nodes.weights.total();
+            found = g, all = even ? float(g->positive) : g->weights().total();
         }
         const float at = std::min(std::max(left / all, 0.f), 1 - 0x1p-24f);
-        const Weights &weights = found->nodes.weights;
+        const Weights &weights = found->weights();
         const size_t k = even ? weights.pick_any(at) : weights.pick(at);
         to.level = found->level, to.index = found->number * Wide + k, to.weight = weights.each[k];
-        if (to.level < 0) to.s = found->nodes.s[k], to.target = found->nodes.target[k];
+        if (to.level < 0) found->find_place(tree_, from_, u_, k, to);
         to.probability = (1 - Any) * weights.each[k] / total_ + Any / float(positive_);
         return true;
     }
 
 private:
     static constexpr size_t Splits = 32, MostNear = 128;
+    // The children of a node or, at level -1, the edges of a leaf; places along these are kept where there are packets.
     struct Group {
-        Candidates nodes;  // of which nodes have weights alone
+#if TR_HAS_PACKETS
+        Candidates nodes;
+        TR_HD Weights &weights() { return nodes.weights; }
+        TR_HD const Weights &weights() const { return nodes.weights; }
+#else
+        Weights nodes;
+        TR_HD Weights &weights() { return nodes; }
+        TR_HD const Weights &weights() const { return nodes; }
+#endif
         int level, positive;
         size_t number;
 
-        TR_HD void add_up() { positive = nodes.weights.add_up() ? nodes.weights.positive() : 0; }
+        TR_HD void add_up() { positive = weights().add_up() ? weights().positive() : 0; }
+        TR_HD void propose(const OutlineTreeView &tree, const OutlineAnchor &from, float u) {
+#if TR_HAS_PACKETS
+            tr::propose(tree, number, from, u, nodes);
+#else
+            Candidates all;
+            tr::propose(tree, number, from, u, all);
+            nodes = all.weights;
+#endif
+            add_up();
+        }
+        TR_HD void find_place(const OutlineTreeView &tree, const OutlineAnchor &from, float u, size_t k,
+                              Place &to) const {
+#if TR_HAS_PACKETS
+            (void)tree, (void)from, (void)u;
+            to.s = nodes.s[k], to.target = nodes.target[k];
+#else
+            Candidates all;
+            tr::propose(tree, number, from, u, all);
+            to.s = all.s[k], to.target = all.target[k];
+#endif
+        }
     };
     struct Near {
         float most;
@@ -311,8 +357,8 @@ private:
         Group &g = groups_[n_++];
         g.level = level, g.number = number;
         if (level < 0) return;
-        alignas(64) float near[Wide];
-        if (!importance(tree_.levels[level][number], from_, g.nodes.weights.each, near)) return;
+        alignas(Aligned) float near[Wide];
+        if (!importance(tree_.levels[level][number], from_, g.weights().each, near)) return;
         for (size_t k = 0; k < Wide; ++k)
             if (near[k] > 0 && n_near_ < MostNear) near_[n_near_++] = {near[k], uint16_t(n_ - 1), uint16_t(k)};
     }
@@ -322,7 +368,7 @@ private:
     Group groups_[Splits + 1];
     Near near_[MostNear];
     size_t n_ = 0, n_near_ = 0;
-    float total_ = 0;
+    float u_ = 0, total_ = 0;
     int positive_ = 0;
 };
 
@@ -336,7 +382,7 @@ TR_HD inline OutlineChoice choose_below(const OutlineTreeView &tree, const Front
         if (!front.pick((float(i) + u) / float(descents), places[i])) return choice;
     Candidates candidates;
     Weights &weights = candidates.weights;
-    alignas(64) float near[Wide];
+    alignas(Aligned) float near[Wide];
     // level by level, so that descents do not wait for each other
     for (int l = tree.n_levels - 1; l-- > 0;)
         for (size_t i = 0; i < descents; ++i) {

@@ -97,7 +97,7 @@ private:
         double low, high, q[4];
         int index;  // f = n a - 1/2 - index, a the coordinate along the line
 
-        double value(double f) const { return q[0] + f * (q[1] + f * (q[2] + f * q[3])); }
+        TR_HD double value(double f) const { return q[0] + f * (q[1] + f * (q[2] + f * q[3])); }
     };
     // Calls visit(cell) for those where g may have a root, of the line of constant v (across = 1) or u (0).
     template <class Visit>
@@ -159,7 +159,7 @@ private:
             if (square > 0) {
                 const double q = -(B + std::copysign(std::sqrt(square), B));
                 double turns[2] = {q / A, C / q};
-                if (turns[0] > turns[1]) std::swap(turns[0], turns[1]);
+                if (const double first = turns[0]; first > turns[1]) turns[0] = turns[1], turns[1] = first;
                 for (double t : turns)
                     if (t > ends[n - 1] && t < cell.high) ends[n++] = t;
                 ends[n] = cell.high;

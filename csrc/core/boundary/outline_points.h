@@ -34,7 +34,7 @@ class Outlines {
     using V = Vec3<S>;
 
 public:
-    Outlines(const SceneView<S> &scene, const OutlineTable &set) : scene_(scene), set_(set) {}
+    TR_HD Outlines(const SceneView<S> &scene, const OutlineTable &set) : scene_(scene), set_(set) {}
 
     // At the parameter s of an element, as rays from `origin`, or along the unit vector of this name if `parallel`, see
     // it.

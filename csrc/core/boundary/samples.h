@@ -43,6 +43,15 @@ struct OutlineSample {
     TR_HD uint64_t number() const { return uint64_t(high) << 32 | low; }
 };
 
+// Look-ups of light whose pixels' numbers differ from this bit on, or whose samples' do, belong to one sample.
+constexpr int CopyBit = 27;
+
+// A place on the film, in a pixel that it was rounded up from.
+template <class S>
+TR_HD S within_pixel(S place, uint32_t pixel) {
+    return std::min(place, std::nextafter(S(int32_t(pixel) + 1), S(-INFINITY)));
+}
+
 // Beside an outline, and what it meets once that is known.
 template <class S>
 struct OutlineRay {

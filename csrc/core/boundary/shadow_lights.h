@@ -49,12 +49,10 @@ struct LightList {
     }
 };
 
-// Whether a light is one; `extended`: those alone that rays can find.
-template <class F>
-bool throws_shadows(const EmitterKernels<F> &kernels, bool extended) {
-    const bool found = kernels.is(IsEnvironment) || (kernels.is(IsOnShape) && !kernels.is(IsBeam));
-    return found || (kernels.is(IsInfinite | HasDeltaPosition) && !extended);
-}
+// Where a light is: on a shape, infinitely far away, else at a point.
+struct LightPlace {
+    bool on_shape, far;
+};
 
 template <class F>
 class ShadowLights {
@@ -91,8 +89,13 @@ public:
         write(c.inverse_pdf, i, r.inverse_pdf);
     }
 
-    TR_HD const EmitterKernels<F> &kernels(const Columns &c, uint32_t slot) const {
-        return emitter_kernels<F>(scene_.emitters[c.emitter[slot]].kind);
+    TR_HD LightPlace place(const Columns &c, uint32_t slot) const {
+        LightPlace r{};
+        const IntOf<F> kind(scene_.emitters[c.emitter[slot]].kind);
+        for_each_emitter_kind<F>(kind, M(true), [&](const EmitterKernels<F> &light, const M &) {
+            r = {light.is(IsOnShape), light.is(IsInfinite)};
+        });
+        return r;
     }
 
     // What the lights of these slots send to points p in the directions d to them: radiance, of points intensity, of

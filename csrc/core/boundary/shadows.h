@@ -77,13 +77,12 @@ public:
                          AllWanted);
     }
 
-    // An outline before the light of a slot, by one of those numbers: an edge, and a ray past it; `light` is the
-    // emitter's. False if there is none.
-    template <class F>
-    TR_HD bool find(const OutlineSample &sample, uint32_t k, const Columns &at, const EmitterKernels<F> &light,
+    // An outline before the light of a slot, by one of those numbers: an edge, and a ray past it. False if there is
+    // none.
+    TR_HD bool find(const OutlineSample &sample, uint32_t k, const Columns &at, const LightPlace &light,
                     const uint8_t *moves, S number, ShadowEdge<S> &x, OutlineRay<S> &ray) const {
-        const bool on_shape = light.is(IsOnShape);
-        x.slot = k, x.far = light.is(IsInfinite);
+        const bool on_shape = light.on_shape;
+        x.slot = k, x.far = light.far;
         const V y = at.y.get(k), yn = at.yn.get(k), origin = x.far ? at.travel.get(k) : y;
         OutlineAnchor anchor{};
         anchor.p = Base::single(origin), anchor.n = anchor.axis = anchor.ng = Base::single(yn);

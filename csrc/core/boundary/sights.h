@@ -9,7 +9,7 @@
 // both sides.
 #pragma once
 
-#include "../integrator/medium.h"
+#include "../integrator/shadow_transmittance.h"
 #include "samples.h"
 
 namespace tr {
@@ -31,8 +31,11 @@ class SightSamples : public OutlineSamples<S> {
     using Base = OutlineSamples<S>;
 
 public:
-    using Base::Base, Base::config, Base::outlines, Base::scene, Base::view;
+    using Base::config, Base::outlines, Base::scene, Base::view;
     using typename Base::V;
+
+    TR_HD SightSamples(const SceneView<S> &scene, const PathConfig &config, const BoundaryView<S> &view)
+        : Base(scene, config, view) {}
 
     TR_HD bool parallel() const { return is_parallel(this->sensor()); }
     TR_HD bool is_rim(const Sight<S> &x) const { return view.outlines.is_face(size_t(x.element)); }

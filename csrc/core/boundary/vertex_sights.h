@@ -40,8 +40,11 @@ class VertexSamples : public OutlineSamples<S> {
     using Base = OutlineSamples<S>;
 
 public:
-    using Base::Base, Base::config, Base::outlines, Base::scene, Base::view;
+    using Base::config, Base::outlines, Base::scene, Base::view;
     using typename Base::V;
+
+    TR_HD VertexSamples(const SceneView<S> &scene, const PathConfig &config, const BoundaryView<S> &view)
+        : Base(scene, config, view) {}
 
     // What a vertex brings that is seen along a segment, with this normal, and in total: where it slides over its
     // surface, as fast as one over the cosine with which it is seen. (Of a silhouette's neighbourhood the variance of

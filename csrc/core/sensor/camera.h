@@ -161,7 +161,7 @@ TR_INLINE CameraRay<F> camera_ray(const SceneView<S> &scene, const Record &recor
 }
 
 // Whether all rays are parallel.
-inline bool is_parallel(const Record &record) {
+TR_HD inline bool is_parallel(const Record &record) {
     return record.kind == kind_of_model<Orthographic>(Sensors{}) || record.kind == kind_of_model<Distant>(Sensors{});
 }
 
@@ -194,9 +194,9 @@ TR_NOINLINE MaskOf<F> film_place(const SceneView<S> &scene, const Record &record
         } else if constexpr (!std::is_same_v<Model, RadianceMeter>) {
             const Vec3<F> local = in_frame({m[3], m[7], m[11]});
             F numbers[DistortedPerspective::N + DistortedPerspective::Entries];
-            if (is_pinhole(record)) {  // it has no coefficients
-                for (int i = 0; i < Model::N; ++i)
-                    numbers[i] = F(scene.values.constants[record.field[Model::Numbers[i]]]);
+            static constexpr auto fields = Model::Numbers;  // device code cannot point into the member
+            if (is_pinhole(record)) {                       // it has no coefficients
+                for (int i = 0; i < Model::N; ++i) numbers[i] = F(scene.values.constants[record.field[fields[i]]]);
                 for (int i = 0; i < Model::Entries; ++i) numbers[Model::N + i] = F(0);
             } else {
                 CameraNumbers<Model, F, F, S> given(scene, record);
