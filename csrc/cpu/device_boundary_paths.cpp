@@ -264,7 +264,7 @@ void DeviceBoundary<S>::see_from_vertices(Work &work, uint32_t n, const Derivati
         sweep_places(paths_, work.paths, slots, to, true, true, anchors_.at.p_bar);
     });
     if (!given.forward) return;
-    launcher_.run(TellOutlines<S>{slots, work.film}, n);
+    launcher_.run(TellEdges<S>{nullptr, slots, work.film, false}, n);
     download(work, n, uint32_t(work.boundary.channels), true, 1, 0);
 }
 

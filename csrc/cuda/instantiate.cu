@@ -16,7 +16,8 @@
 #include "device/sight_kernels.h"
 #include "device/sort_kernels.h"
 #include "device/splat_kernels.h"
-#include "device/vertex_kernels.h"
+#include "device/vertex_edge_kernels.h"
+#include "device/vertex_outline_kernels.h"
 
 namespace tr {
 namespace kernels {
@@ -95,7 +96,6 @@ TR_RUN(LookPastOutlines<float>)
 TR_RUN(StartOutlines<float>)
 TR_RUN(TakeOutlines<float>)
 TR_RUN(AddOutlines<float>)
-TR_RUN(TellOutlines<float>)
 TR_RUN(WeighSights<float>)
 TR_RUN(WeighEdges<float>)
 TR_RUN(WeighOutlines<float>)

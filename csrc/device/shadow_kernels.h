@@ -4,9 +4,7 @@
 
 #include "boundary_stage.h"
 #include "core/boundary/shadows.h"
-#if defined(__CUDACC_RTC__)
-#include "core/adjoint/revisit.cpp"
-#endif
+#include "revisit_parts.h"
 
 namespace tr {
 
@@ -233,7 +231,7 @@ struct AddEdges {
 };
 
 // In forward mode, what the samples add to the film; of the pilot whether there is an edge, and where the camera sees
-// it if it does.
+// it if it does. Without records all samples have a place.
 template <class S>
 struct TellEdges {
     static constexpr const char *Name = TR_KERNEL_NAME(TellEdges), *Header = "device/shadow_kernels.h";
@@ -243,14 +241,13 @@ struct TellEdges {
     bool pilot;
 
     TR_HD void operator()(uint32_t i) const {
-        const ShadowRecord<S> &r = records[i];
-        const bool placed = r.connected;
+        const bool placed = !records || records[i].connected;
         for (int k = 0; k < 2; ++k) {
             const S x = k == 0 ? slots.film_x[i] : slots.film_y[i];
             film.place[2 * i + uint32_t(k)] = placed ? double(x) : pilot ? double(NAN) : 0;
         }
         if (pilot) {
-            film.value[i] = r.kept ? 1 : 0;
+            film.value[i] = records[i].kept ? 1 : 0;
             return;
         }
         for (int32_t c = 0; c < film.channels; ++c)

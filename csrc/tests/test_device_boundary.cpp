@@ -195,8 +195,7 @@ TR_TEST(kernels_of_outlines_take_no_more_of_a_card) {
                      {kernel_of<TellEdges<float>>(), room, -1, ""},
                      {kernel_of<WeighSights<float>>(), room, -1, ""},
                      {kernel_of<WeighEdges<float>>(), room, -1, ""},
-                     {kernel_of<WeighOutlines<float>>(), room, -1, ""},
-                     {kernel_of<TellOutlines<float>>(), room, -1, ""}});
+                     {kernel_of<WeighOutlines<float>>(), room, -1, ""}});
 }
 
 }  // namespace tr::testing
