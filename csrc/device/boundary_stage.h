@@ -50,14 +50,15 @@ struct BoundaryStage {
         return x.whole(ray);
     }
     TR_HD bool is_hidden(const Vec3<S> &o, const Vec3<S> &d) const {
-        const float from[] = {float(o.x), float(o.y), float(o.z)}, along[] = {float(d.x), float(d.y), float(d.z)};
-        return tr::trace<true>(tree, from, along, float(INFINITY)).shape != TreeHit::Miss;
+        return hit<true>(o, d, S(INFINITY)).shape != TreeHit::Miss;
     }
 
 private:
-    TR_HD TreeHit closest(const Vec3<S> &o, const Vec3<S> &d, S length) const {
+    TR_HD TreeHit closest(const Vec3<S> &o, const Vec3<S> &d, S length) const { return hit<false>(o, d, length); }
+    template <bool Any>
+    TR_HD TreeHit hit(const Vec3<S> &o, const Vec3<S> &d, S length) const {
         const float from[] = {float(o.x), float(o.y), float(o.z)}, along[] = {float(d.x), float(d.y), float(d.z)};
-        return tr::trace<false>(tree, from, along, float(length));
+        return tr::trace<Any>(tree, from, along, float(length));
     }
     TR_HD static void meet(OutlineRay<S> &ray, const TreeHit &hit, const Vec3<S> &from) {
         ray.meet({hit.shape, hit.primitive, S(hit.b1), S(hit.b2)}, S(hit.t), from);

@@ -251,8 +251,7 @@ struct TellEdges {
             return;
         }
         for (int32_t c = 0; c < film.channels; ++c)
-            film.value[size_t(i) * size_t(film.channels) + size_t(c)] =
-                placed && c + 1 < film.channels ? double(slots.radiance[c][i]) : 0;
+            film.value[film.at(i, c)] = placed && c + 1 < film.channels ? double(slots.radiance[c][i]) : 0;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
