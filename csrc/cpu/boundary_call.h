@@ -73,6 +73,26 @@ BoundaryView<S> view_of(const RenderCall<S> &call, const BoundaryCall<S> &given)
             call.samples,
             given.filter.reach()};
 }
+// The call, of glued samples with a scene in which lights of no weight are dark: no light path begins there.
+template <class S>
+struct LightPathCall {
+    SceneView<S> scene;
+    std::vector<ShapeInfo> shapes;
+    RenderCall<S> call;
+
+    LightPathCall(const RenderCall<S> &given, bool glued) : scene(*given.scene), call(given) {
+        const S *pmf = scene.emitter_pmf;
+        if (!glued || std::all_of(pmf, pmf + scene.n_emitters, [](S p) { return p > 0; })) return;
+        shapes.assign(scene.shapes, scene.shapes + scene.n_shapes);
+        for (ShapeInfo &shape : shapes)
+            if (shape.emitter >= 0 && !(pmf[shape.emitter] > 0)) shape.emitter = -1;
+        if (scene.environment >= 0 && !(pmf[scene.environment] > 0)) scene.environment = -1;
+        scene.shapes = shapes.data(), call.scene = &scene;
+    }
+    LightPathCall(const LightPathCall &) = delete;
+
+    bool changes_scene() const { return call.scene == &scene; }
+};
 // Of their paths, which look for no lights: what they are for is their vertices.
 template <class S>
 RenderCall<S> outline_path_call(const RenderCall<S> &call, BoundaryPart part) {

@@ -12,12 +12,11 @@ namespace {
 
 template <class S>
 void check(const RenderCall<S> &call, const BoundaryCall<S> &boundary) {
-    const char *missing = boundary.part == BoundaryPart::Outputs ? "outputs besides radiance"
-                          : boundary.glued                       ? "light paths"
-                          : call.config.volumetric               ? "media"
-                          : call.config.stokes                   ? "polarised light"
+    const bool of_camera = boundary.part == BoundaryPart::Silhouettes || boundary.part == BoundaryPart::Outputs;
+    const char *missing = call.config.stokes                     ? "polarised light"
                           : call.config.spectral.positions       ? "wavelengths"
                           : call.scene->bends                    ? "media that light bends in"
+                          : call.config.volumetric && !of_camera ? "media that the camera does not see"
                                                                  : nullptr;
     if (missing)
         throw std::invalid_argument(std::string("device: there are no derivatives of outlines of ") + missing +
@@ -27,15 +26,23 @@ void check(const RenderCall<S> &call, const BoundaryCall<S> &boundary) {
 }  // namespace
 
 template <class S>
-typename DeviceBoundary<S>::Work DeviceBoundary<S>::begin(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
-                                                          const SceneView<S> &scene, const TreeView &tree,
+typename DeviceBoundary<S>::Work DeviceBoundary<S>::begin(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
+                                                          const SceneView<S> &copied, const TreeView &tree,
                                                           const DerivativeCall<S> &derivative, bool forward) {
-    check(call, boundary);
+    check(given, boundary);
+    auto light_path = std::make_unique<const LightPathCall<S>>(given, boundary.glued);
+    const RenderCall<S> &call = light_path->call;
     const SceneView<S> &host = *call.scene;
+    SceneView<S> scene = copied;
+    if (light_path->changes_scene()) {
+        shapes_.upload(launcher_, host.shapes, size_t(host.n_shapes));
+        scene.shapes = shapes_.get(), scene.environment = host.environment;
+    }
     auto path_call = std::make_unique<const RenderCall<S>>(outline_path_call(call, boundary.part));
     const std::vector<int32_t> kinds = kinds_in(host, call.config, true, false);
     const RenderCall<S> &own = *path_call;
-    Work work{call,
+    Work work{std::move(light_path),
+              call,
               boundary,
               std::move(path_call),
               {own, {}, tree, kinds},
@@ -77,7 +84,7 @@ typename DeviceBoundary<S>::Work DeviceBoundary<S>::begin(const RenderCall<S> &c
     cells_.upload(launcher_, boundary.cells, 2 * boundary.n_cells);
     work.view.outlines = outlines_.table(launcher_, *boundary.outlines);
     work.view.pieces = {};
-    if (work.part() == BoundaryPart::Silhouettes) work.view.pieces = outlines_.pieces(launcher_, *boundary.pieces);
+    if (work.of_camera()) work.view.pieces = outlines_.pieces(launcher_, *boundary.pieces);
     work.view.cells = cells_.get();
     if (work.of_lights()) list_lights(work);
     reserve(work);
@@ -98,14 +105,16 @@ void DeviceBoundary<S>::list_lights(Work &work) {
 
 template <class S>
 size_t DeviceBoundary<S>::bytes_per_sample(const Work &work) const {
-    const size_t tile = DeviceTile<S>::bytes_per_path();
+    const size_t tile = DeviceTile<S>::bytes_per_path(), light = DeviceTile<S>::bytes_per_path(work.light_parts());
     const size_t entry = DeviceTapeLevels<S>::bytes_per_entry(work.paths.parts);
     const int depth = work.path_call->config.max_depth, levels = depth < 0 ? MostLevels : std::min(depth, MostLevels);
     size_t bytes = 4 * sizeof(double) * size_t(work.boundary.channels + 2);
     if (work.has_paths()) bytes += tile + size_t(levels) * entry + 64 * sizeof(S);
     if (work.of_lights()) bytes += tile + entry + 2 * (sizeof(ShadowRecord<S>) + 64 * sizeof(S));
-    if (work.part() == BoundaryPart::Silhouettes) bytes += 2 * tile + sizeof(SightRecord<S>);
-    if (work.part() == BoundaryPart::Reflections) bytes += 2 * tile + sizeof(OutlineRecord<S>) + 8 * sizeof(S);
+    if (work.of_camera()) bytes += sizeof(SightRecord<S>);
+    if (work.part() == BoundaryPart::Silhouettes) bytes += 2 * light;
+    if (work.part() == BoundaryPart::Outputs) bytes += 2 * sizeof(S) * size_t(work.boundary.channels);
+    if (work.part() == BoundaryPart::Reflections) bytes += 2 * light + sizeof(OutlineRecord<S>) + 8 * sizeof(S);
     return bytes;
 }
 
@@ -116,8 +125,8 @@ void DeviceBoundary<S>::reserve(Work &work) {
     const BoundaryCall<S> &boundary = work.boundary;
     const uint64_t most = memory_ * DeviceTile<S>::TapeShare / bytes_per_sample(work) / work.group;
     const uint32_t n = work.batch = uint32_t(std::min(std::max<uint64_t>(most, 1) * work.group, boundary.count));
-    auto open = [&](DeviceTile<S> &tile, DeviceCall<S> &of, uint32_t paths) {
-        tile.reserve(paths, {});
+    auto open = [&](DeviceTile<S> &tile, DeviceCall<S> &of, uint32_t paths, const BatchParts &parts = {}) {
+        tile.reserve(paths, parts);
         tile.clear_totals();
         of.stage.slots = tile.at().slots, of.stage.lost = tile.at().lost;
     };
@@ -138,16 +147,19 @@ void DeviceBoundary<S>::reserve(Work &work) {
             work.ends.stage.slots.lens = {lens_.get(), lens_.get() + n};
         }
     }
-    if (work.part() == BoundaryPart::Silhouettes) {
-        open(light_, work.light, 2 * n);
-        sights_.reserve(launcher_, n);
+    if (work.of_camera()) sights_.reserve(launcher_, n);
+    if (work.part() == BoundaryPart::Silhouettes) open(light_, work.light, 2 * n, work.light_parts());
+    if (work.part() == BoundaryPart::Outputs) {
+        open(light_, work.light, 1);  // which counts rays
+        outputs_.reserve(launcher_, 2 * size_t(n) * size_t(boundary.channels));
     }
     if (work.part() == BoundaryPart::Reflections) {
         const uint32_t room = work.room(n);
-        open(light_, work.light, 2 * room);
+        open(light_, work.light, 2 * room, work.light_parts());
         copies_.reserve(launcher_, n), begins_.reserve(launcher_, n), slots_.reserve(launcher_, room);
         choices_.reserve(launcher_, room), records_.reserve(launcher_, room);
     }
+    if (work.light_parts().media) work.light.media = light_.media(*call.scene, nullptr);
     BoundaryFilm<S> &film = work.film;
     film.channels = boundary.channels;
     place_.reserve(launcher_, 2 * size_t(n)), film.place = place_.get();
@@ -167,7 +179,7 @@ void DeviceBoundary<S>::release() {
     paths_.release(), ends_.release(), light_.release();
     anchors_ = {}, towards_ = {}, sights_ = {}, choices_ = {}, records_ = {};
     for (int k = 0; k < 2; ++k) edge_columns_[k] = {}, edges_[k] = {};
-    lens_ = {}, apart_ = {}, carried_ = {};
+    lens_ = {}, apart_ = {}, carried_ = {}, outputs_ = {};
     place_ = {}, value_ = {}, totals_ = {};
     order_ = {}, counts_ = {}, copies_ = {}, begins_ = {}, slots_ = {};
 }
@@ -190,8 +202,7 @@ RenderStats DeviceBoundary<S>::run(Work &work, const DerivativePlaces<S> &to) {
     const auto begun = std::chrono::steady_clock::now();
     const uint64_t count = work.boundary.count;
     RenderStats stats;
-    const bool nothing =
-        work.of_lights() ? work.lights.n == 0 : work.part() == BoundaryPart::Silhouettes && work.view.pieces.n == 0;
+    const bool nothing = work.of_lights() ? work.lights.n == 0 : work.of_camera() && work.view.pieces.n == 0;
     for (uint64_t &first = work.first; first < count && !nothing && !stats.interrupted; first += work.batch) {
         const uint32_t n = uint32_t(std::min<uint64_t>(work.batch, count - first));
         if (work.of_lights())
@@ -214,13 +225,15 @@ RenderStats DeviceBoundary<S>::run(Work &work, const DerivativePlaces<S> &to) {
 template <class S>
 void DeviceBoundary<S>::see_from_camera(Work &work, uint32_t n, const DerivativePlaces<S> &given) {
     const BatchColumns<S> &at = light_.at();
+    const bool of_outputs = work.part() == BoundaryPart::Outputs;
+    const OutputValues<S> outputs{outputs_.get(), 2 * work.batch};
     launcher_.know(work.paths.facts);
     launcher_.run(FindSights<S>{work.stage(light_.totals()), sights_.get()}, n);
     launcher_.know(work.light.facts);
-    const LightRays<S> rays{at.slots, at.queues[0], at.hits, at.out_key};
-    launcher_.run(StartSights<S>{sights_.get(), work.boundary.first + work.first, rays}, 2 * n);
-    light_.list_started(2 * n);
-    light_.run(work.light, 2 * n, 0, !work.call.config.hide_emitters);
+    if (of_outputs)
+        launcher_.run(LookUpOutputs<S>{work.stage(nullptr), *work.boundary.layout, sights_.get(), outputs}, 2 * n);
+    else
+        look_up_light(work, n);
     if (work.boundary.weighs) {
         launcher_.know(work.paths.facts);
         launcher_.run(WeighSights<S>{work.stage(light_.totals()), sights_.get(), at.slots.radiance, work.call.values,
@@ -229,9 +242,11 @@ void DeviceBoundary<S>::see_from_camera(Work &work, uint32_t n, const Derivative
         return download(work, n, 1, false, 1, 0);
     }
     const auto add = [&](const DerivativePlaces<S> &to) {
-        launcher_.run(AddSights<S>{work.view, work.gradients(to), MissKind, sights_.get(), at.slots.radiance,
-                                   at.slots.alpha.at, work.film},
-                      n, MissKind);
+        const SightSums<S> sums{work.view, work.gradients(to), sights_.get(), work.film};
+        if (of_outputs)
+            launcher_.run(AddOutputSights<S>{sums, MissKind, outputs}, n, MissKind);
+        else
+            launcher_.run(AddSights<S>{sums, MissKind, at.slots.radiance, at.slots.alpha.at}, n, MissKind);
     };
     launcher_.know(work.paths.facts);
     if (!given.forward) return hand_back(given, add);
@@ -239,6 +254,16 @@ void DeviceBoundary<S>::see_from_camera(Work &work, uint32_t n, const Derivative
     to.component = 0;  // one number of all components
     add(to);
     download(work, n, uint32_t(work.boundary.channels), true, 1, 0);
+}
+
+// Along the rays beside what is seen.
+template <class S>
+void DeviceBoundary<S>::look_up_light(Work &work, uint32_t n) {
+    const BatchColumns<S> &at = light_.at();
+    const LightRays<S> rays{at.slots, at.queues[0], at.hits, at.out_key};
+    launcher_.run(StartSights<S>{sights_.get(), work.boundary.first + work.first, rays}, 2 * n);
+    light_.list_started(2 * n);
+    light_.run(work.light, 2 * n, 0, !work.call.config.hide_emitters, work.boundary.glued);
 }
 
 // What n samples have told: `channels` numbers each, and their places on the film, which of `each` rows of a sample.

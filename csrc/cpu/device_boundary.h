@@ -1,6 +1,6 @@
 // The derivative of moving outlines on a device: the samples of boundary_{seen,lights,reflections}.h by the kernels of
-// device/{sight,shadow,vertex}_kernels.h, their paths and light by those of paths. Not of light paths, polarised light,
-// wavelengths, media, and outputs besides radiance.
+// device/{sight,output_sight,shadow,vertex}_kernels.h, their paths and light by those of paths. Not of polarised light
+// and wavelengths.
 #pragma once
 
 #include <functional>
@@ -8,7 +8,7 @@
 
 #include "boundary_call.h"
 #include "device/device_scene.h"
-#include "device/sight_kernels.h"
+#include "device/output_sight_kernels.h"
 #include "device/vertex_edge_kernels.h"
 #include "device/vertex_outline_kernels.h"
 #include "device_derivative.h"
@@ -87,7 +87,8 @@ private:
     DeviceArray<uint8_t> moves_;
     DeviceArray<double> adjoint_, place_, value_, cdf_;
     DeviceArray<uint64_t> non_finite_;  // derivatives that are not, which nobody asks for
-    DeviceArray<S> lens_, apart_, carried_;
+    DeviceArray<ShapeInfo> shapes_;     // where lights are dark
+    DeviceArray<S> lens_, apart_, carried_, outputs_;
     DeviceArray<SightRecord<S>> sights_;
     // of chosen vertices
     DeviceColumns<AnchorColumns<S>> anchors_;
@@ -117,6 +118,7 @@ private:
     void begin_call(const SceneView<S> *&scene, const RenderCall<S> &call, const SceneData<S> &data);
 
     void see_from_camera(Work &work, uint32_t n, const DerivativePlaces<S> &to);
+    void look_up_light(Work &work, uint32_t n);
     void see_from_lights(Work &work, uint32_t n, const DerivativePlaces<S> &to);
     void see_from_vertices(Work &work, uint32_t n, const DerivativePlaces<S> &to);
 

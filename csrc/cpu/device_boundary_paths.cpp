@@ -41,7 +41,7 @@ void DeviceBoundary<S>::trace_paths(Work &work, uint32_t n) {
     const SlotColumns<S> &slots = paths_.at().slots;
     launcher_.know(work.paths.facts);
     launcher_.run(NumberOutlines<S>{work.stage(paths_.totals()), slots, anchors_.at, totals(work)}, n);
-    paths_.trace_paths(work.paths, n);
+    paths_.trace_paths(work.paths, n, work.boundary.glued);
     launcher_.run(KeepInPixels<S>{slots}, n);
     std::vector<TapeLevelTable<S>> tables;
     for (int l = 0; l < paths_.levels().size(); ++l) {
@@ -206,6 +206,7 @@ void DeviceBoundary<S>::settle(Work &work, uint32_t n, uint32_t which, const Der
     };
     hand_on(work, slots, n, given, [&](const DerivativePlaces<S> &to) {
         add(to);
+        if (work.boundary.glued) return;
         sweep_places(ends_, work.ends, slots, to, camera, false, at.s_bar);
         if (!camera) sweep_places(paths_, work.paths, slots, to, true, true, anchors_.at.p_bar);
     });
@@ -255,13 +256,13 @@ void DeviceBoundary<S>::see_from_vertices(Work &work, uint32_t n, const Derivati
         return download(work, n, 1, false, 1, 0);
     }
     const auto add = [&](const DerivativePlaces<S> &to) {
-        launcher_.run(AddOutlines<S>{work.view, work.gradients(to), MissKind, shares, records_.get(), slots,
-                                     anchors_.at.p_bar, work.film},
+        launcher_.run(AddOutlines<S>{work.view, work.gradients(to), MissKind, levels(work), anchors_.at, shares,
+                                     records_.get(), slots, work.film},
                       n, MissKind);
     };
     hand_on(work, slots, n, given, [&](const DerivativePlaces<S> &to) {
         add(to);
-        sweep_places(paths_, work.paths, slots, to, true, true, anchors_.at.p_bar);
+        if (!work.boundary.glued) sweep_places(paths_, work.paths, slots, to, true, true, anchors_.at.p_bar);
     });
     if (!given.forward) return;
     launcher_.run(TellEdges<S>{nullptr, slots, work.film, false}, n);

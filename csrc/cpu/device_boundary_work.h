@@ -9,6 +9,7 @@ namespace tr {
 
 template <class S>
 struct DeviceBoundary<S>::Work {
+    std::unique_ptr<const LightPathCall<S>> light_path;  // to whose call and scene all else refers
     const RenderCall<S> &call;
     const BoundaryCall<S> &boundary;
     std::unique_ptr<const RenderCall<S>> path_call;  // of samples' paths, to which `paths` and `ends` refer
@@ -23,6 +24,7 @@ struct DeviceBoundary<S>::Work {
     std::vector<double> place, value;  // what was told of all samples so far
 
     const BoundaryPart &part() const { return boundary.part; }
+    bool of_camera() const { return part() == BoundaryPart::Silhouettes || part() == BoundaryPart::Outputs; }
     bool of_lights() const {
         return part() == BoundaryPart::Shadows || part() == BoundaryPart::Pilot || part() == BoundaryPart::Pieces;
     }
@@ -39,6 +41,8 @@ struct DeviceBoundary<S>::Work {
     BoundaryStage<S> stage(uint64_t *traced) const {
         return {light.stage.scene, path_call->config, view, light.tree, boundary.first + first, traced};
     }
+    // Of paths that see light.
+    BatchParts light_parts() const { return {call.config.volumetric, false}; }
     BoundaryGradients<S> gradients(const DerivativePlaces<S> &to) const {
         return {light.stage.scene, path_call->config, paths.stage.needs, to};
     }

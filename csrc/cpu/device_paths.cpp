@@ -6,12 +6,6 @@
 
 namespace tr {
 
-namespace {
-
-constexpr size_t TrackingNumbers = size_t(TrackingTotals::Copies) * TrackingTotals::Sums;
-
-}  // namespace
-
 template <class S>
 void DevicePaths<S>::check(const RenderCall<S> &call) {
     const char *missing = call.config.stokes                    ? "polarised light"
@@ -47,10 +41,6 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
     reserve(work.batch, {media, light});
     this->clear_totals();
-    if (media) {
-        tracking_.reserve(launcher_, TrackingNumbers);
-        clear(launcher_, tracking_.get(), TrackingNumbers);
-    }
 
     SceneFacts &facts = work.facts = SceneFacts(host, call.config);
     facts.records = derivative && paths, facts.forward = derivative && !derivative->adjoint;
@@ -71,10 +61,7 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
         work.stage.records = paths;
         work.stage.bsdfs_alone = !media && needs.bsdf && !needs.emitter && !needs.numbers() && !needs.camera;
     }
-    if (media) {
-        work.media = {host, derivative && paths ? &work.stage.needs : nullptr};
-        work.media.flight = at_.flight, work.media.branch = at_.branch;
-    }
+    if (media) work.media = this->media(host, derivative && paths ? &work.stage.needs : nullptr);
     return work;
 }
 
@@ -149,12 +136,6 @@ RenderStats DevicePaths<S>::forward(const RenderCall<S> &call, const SceneData<S
 template <class S>
 void DevicePaths<S>::finish(const Work &work, RenderStats &stats) const {
     this->add_totals(stats);
-    if (work.call.config.volumetric) {
-        std::vector<uint64_t> sums(TrackingNumbers);
-        tracking_.download(sums.data(), sums.size());
-        for (size_t i = 0; i < sums.size(); i += TrackingTotals::Sums)
-            stats.collisions += sums[i], stats.majorants_exceeded += sums[i + 1], stats.shadow_rays += sums[i + 2];
-    }
     stats.seconds = work.seconds();
 }
 

@@ -78,14 +78,14 @@ void DeviceTile<S>::list_started(uint32_t n, const EntryList &to) {
 
 // Camera rays and their paths.
 template <class S>
-void DeviceTile<S>::trace_paths(DeviceCall<S> &work, uint32_t n) {
+void DeviceTile<S>::trace_paths(DeviceCall<S> &work, uint32_t n, bool scattered) {
     start(work, n);
-    run(work, n, 0, false);
+    run(work, n, 0, false, scattered);
 }
 
 // As PathTile::run, of the rays of the first queue that are listed in camera_, n at most.
 template <class S>
-void DeviceTile<S>::run(DeviceCall<S> &work, uint32_t n, int first, bool traced) {
+void DeviceTile<S>::run(DeviceCall<S> &work, uint32_t n, int first, bool traced, bool scattered) {
     const PathConfig &config = work.call.config;
     const int depth = config.max_depth;
     PathQueue<S> *queues = at_.queues;
@@ -97,6 +97,10 @@ void DeviceTile<S>::run(DeviceCall<S> &work, uint32_t n, int first, bool traced)
     for (int split = 0; split < (first == 0 ? work.splits() : 1); ++split) {
         if (split > 0) trace_hits(work, queues[0], camera_, false, n);
         step(work, {first, split, scatters}, queues[0], camera_, queues[1], n, TapeLevel::NoParents);
+        if (scattered && scatters) {
+            launcher_.run(KeepSmooth<S>{queues[1].pdf.at, sorted_.n, at_.out_key}, n);
+            keep(at_.out_key, sorted_.n, live_, n);
+        }
         PathQueue<S> *current = &queues[1], *next = &queues[2];
         uint32_t most = n;  // that may be left
         for (int level = first + 1; depth < 0 || level < depth; ++level) {
@@ -115,6 +119,13 @@ void DeviceTile<S>::first_vertices(const DeviceCall<S> &work, int depth, uint32_
     levels_.begin(work.parts);
     trace_hits(work, at_.queues[0], camera_, work.call.config.hide_emitters && depth == 0, n);
     step(work, {depth, 0, true}, at_.queues[0], camera_, at_.queues[1], n, TapeLevel::NoParents);
+}
+
+template <class S>
+MediumContext<S> DeviceTile<S>::media(const SceneView<S> &host, const GradientNeeds *needs) const {
+    MediumContext<S> r(host, needs);
+    r.flight = at_.flight, r.branch = at_.branch;
+    return r;
 }
 
 // As PathTile::run_volumetric.
@@ -275,6 +286,7 @@ void DeviceTile<S>::release() {
 template <class S>
 void DeviceTile<S>::clear_totals() {
     clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), Totals);
+    if (parts_.media) clear(launcher_, tracking_.get(), TrackingTotals::Numbers);
 }
 
 template <class S>
@@ -284,6 +296,11 @@ void DeviceTile<S>::add_totals(RenderStats &stats) const {
     stats.closest_rays += totals[0], stats.shadow_rays += totals[1];
     if (totals[2] != 0) count_lost(stats);
     stats.count_non_finite(totals[3], "a derivative");
+    if (!parts_.media) return;
+    std::vector<uint64_t> sums(TrackingTotals::Numbers);
+    tracking_.download(sums.data(), sums.size());
+    for (size_t i = 0; i < sums.size(); i += TrackingTotals::Sums)
+        stats.collisions += sums[i], stats.majorants_exceeded += sums[i + 1], stats.shadow_rays += sums[i + 2];
 }
 
 template <class S>
@@ -325,6 +342,7 @@ void DeviceTile<S>::reserve(size_t n, const BatchParts &parts) {
     counts_.reserve(launcher_, size_t(Kinds) * chunks_of(n));  // also of so many shadow rays, of one kind
     ranges_.reserve(launcher_, 2 * size_t(Kinds)), range_of_one_.reserve(launcher_, 2);
     totals_.reserve(launcher_, Totals);
+    if (parts.media) tracking_.reserve(launcher_, TrackingTotals::Numbers);
     at_.lost.total = totals_.get() + 2;
     capacity_ = n;
 }

@@ -98,14 +98,18 @@ public:
     void reserve(size_t n, const BatchParts &parts);
     void release();
 
+    // What paths through media have here, `needs`: those that are recorded.
+    MediumContext<S> media(const SceneView<S> &host, const GradientNeeds *needs) const;
+
     // Lists entries of the first queue that a launch for n samples has started, in camera_.
     void list_started(uint32_t n, const EntryList &to);
     void list_started(uint32_t n) { list_started(n, camera_); }
     // How many those are; waits.
     uint32_t n_started() const;
-    void trace_paths(DeviceCall<S> &work, uint32_t n);
-    // `first` vertices are behind the rays; `traced`: what they meet is known.
-    void run(DeviceCall<S> &work, uint32_t n, int first, bool traced);
+    void trace_paths(DeviceCall<S> &work, uint32_t n, bool scattered = false);
+    // `first` vertices are behind the rays; `traced`: what they meet is known; `scattered`: after the first vertex
+    // paths go on in directions of smooth BSDFs alone.
+    void run(DeviceCall<S> &work, uint32_t n, int first, bool traced, bool scattered = false);
     // The vertices that the rays meet, `depth` vertices behind the first one, and nothing after them.
     void first_vertices(const DeviceCall<S> &work, int depth, uint32_t n);
 

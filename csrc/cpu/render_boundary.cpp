@@ -58,25 +58,6 @@ RenderStats forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, 
     });
 }
 
-// The call, of glued samples with a scene in which lights of no weight are dark: no light path begins there.
-template <class S>
-struct LightPathCall {
-    SceneView<S> scene;
-    std::vector<ShapeInfo> shapes;
-    RenderCall<S> call;
-
-    LightPathCall(const RenderCall<S> &given, bool glued) : scene(*given.scene), call(given) {
-        const S *pmf = scene.emitter_pmf;
-        if (!glued || std::all_of(pmf, pmf + scene.n_emitters, [](S p) { return p > 0; })) return;
-        shapes.assign(scene.shapes, scene.shapes + scene.n_shapes);
-        for (ShapeInfo &shape : shapes)
-            if (shape.emitter >= 0 && !(pmf[shape.emitter] > 0)) shape.emitter = -1;
-        if (scene.environment >= 0 && !(pmf[scene.environment] > 0)) scene.environment = -1;
-        scene.shapes = shapes.data(), call.scene = &scene;
-    }
-    LightPathCall(const LightPathCall &) = delete;
-};
-
 }  // namespace
 
 template <class S>

@@ -10,10 +10,10 @@
 #include "device/film_kernels.h"
 #include "device/light_kernels.h"
 #include "device/medium_kernels.h"
+#include "device/output_sight_kernels.h"
 #include "device/output_sweep_kernels.h"
 #include "device/path_kernels.h"
 #include "device/ray_kernels.h"
-#include "device/sight_kernels.h"
 #include "device/sort_kernels.h"
 #include "device/splat_kernels.h"
 #include "device/vertex_edge_kernels.h"
@@ -59,6 +59,7 @@ TR_RUN(FillNumbers<float>)
 TR_RUN(NumberSamples<float>)
 TR_RUN(AddToFilm<float>)
 TR_RUN(PlaceSamples<float>)
+TR_RUN(KeepSmooth<float>)
 TR_RUN(DivideAdjoint<float>)
 TR_RUN(CollectAdjoints<float>)
 TR_RUN(SweepVertices<float>)
@@ -73,6 +74,8 @@ TR_RUN(SweepOutputs<float>)
 TR_RUN(FindSights<float>)
 TR_RUN(StartSights<float>)
 TR_RUN(AddSights<float>)
+TR_RUN(LookUpOutputs<float>)
+TR_RUN(AddOutputSights<float>)
 TR_RUN(FindEdges<float>)
 TR_RUN(ShadeEnds<float>)
 TR_RUN(ConnectEdges<float>)

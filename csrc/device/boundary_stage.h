@@ -98,8 +98,10 @@ struct BoundaryFilm {
     int32_t channels;
     double *place, *value;  // in forward mode, see BoundaryCall
 
+    // There are `Most` channels at most.
+    template <int Most>
     TR_HD S contracted(S x, S y, const double *jumps) const {
-        double from[MostOutlineChannels] = {}, sum = 0;
+        double from[Most] = {}, sum = 0;
         adjoint.gather_at(int32_t(floor(y)), int32_t(floor(x)), x, y, from);
         for (int32_t c = 0; c < channels; ++c) sum += from[c] * jumps[c];
         return S(sum);
@@ -113,7 +115,6 @@ struct BoundaryFilm {
     void for_pointers(Visit &&visit) const {
         adjoint.for_pointers(visit), visit(place), visit(value);
     }
-    static constexpr int MostOutlineChannels = SpectrumSize + 1;
 };
 
 // A sink of single numbers, as the CPU's PointSink.

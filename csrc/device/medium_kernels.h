@@ -11,7 +11,7 @@ namespace tr {
 // Sums over all items: tentative collisions, those of them beyond the majorant, and parts of shadow rays, in copies,
 // since many items add at once.
 struct TrackingTotals {
-    static constexpr uint32_t Copies = 256, Sums = 3;
+    static constexpr uint32_t Copies = 256, Sums = 3, Numbers = Copies * Sums;
     uint64_t *at;  // (copies, sums)
 
     TR_HD void add(uint32_t item, const TrackingCounts &counts, uint32_t parts = 0) const {

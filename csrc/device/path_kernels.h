@@ -60,6 +60,23 @@ struct PlaceSamples {
     }
 };
 
+// Of *n rays that go on those in directions of smooth BSDFs, which have a density.
+template <class S>
+struct KeepSmooth {
+    static constexpr const char *Name = TR_KERNEL_NAME(KeepSmooth), *Header = "device/path_kernels.h";
+    const S *pdf;
+    const uint32_t *n;
+    int32_t *key;
+
+    TR_HD void operator()(uint32_t i) const {
+        if (i < *n && key[i] == Kept && pdf[i] == 0) key[i] = Gone;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(pdf), visit(n), visit(key);
+    }
+};
+
 // Of ray i of a queue, in single precision as in all trees. `Any`: whatever it meets.
 template <bool Any, class Queue>
 TR_HD inline TreeHit trace_entry(const TreeView &tree, const Queue &rays, uint32_t i) {

@@ -210,10 +210,11 @@ struct AddEdges {
         const Vec3<S> zero{S(0), S(0), S(0)};
         at.s_bar.set(i, zero), at.e_bar.set(i, zero), p_bar.set(i, zero);
         if (!r.connected) return;
-        double jumps[BoundaryFilm<S>::MostOutlineChannels] = {};
+        constexpr int Most = SpectrumSize + 1;
+        double jumps[Most] = {};
         for (int c = 0; c + 1 < film.channels; ++c) jumps[c] = double(r.jump[c]);
         const S w = gradients.to.forward ? r.jump[gradients.to.component]
-                                         : film.contracted(slots.film_x[i], slots.film_y[i], jumps);
+                                         : film.template contracted<Most>(slots.film_x[i], slots.film_y[i], jumps);
         if (w == 0 || !OutlineSamples<S>::is_finite(w)) return;
         const ShadowSamples<S> samples(gradients.scene, gradients.config, view, {});
         gradients.with_sink(i, [&](GradientSink<S> &sink, auto &&glue) {

@@ -41,7 +41,7 @@ struct FindSights {
 
 private:
     TR_HD bool look_past(const SightSamples<S> &samples, SightRecord<S> &r) const {
-        const bool some = stage.config.hide_emitters;
+        const bool some = stage.config.hide_emitters || stage.config.volumetric;
         const auto passes = [&](uint32_t shape) { return some && samples.lets_through(shape); };
         for (OutlineRay<S> &ray : r.beside) stage.trace(ray, r.length, passes);
         accumulate(stage.traced, uint64_t(2));
@@ -72,32 +72,27 @@ struct StartSights {
     }
 };
 
-// What light along these rays makes of the outlines' motion.
+// What the outlines' motion makes of what is seen along these rays.
 template <class S>
-struct AddSights {
-    static constexpr const char *Name = TR_KERNEL_NAME(AddSights), *Header = "device/sight_kernels.h";
-    static constexpr Knowledge Knows = Knowledge::Derivative;
-    bool adds() const { return !gradients.to.fixed && !gradients.to.forward; }
+struct SightSums {
     BoundaryView<S> view;
     BoundaryGradients<S> gradients;
-    TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
     const SightRecord<S> *from;
-    SpectrumColumn<S> radiance;
-    const S *alpha;
     BoundaryFilm<S> film;
 
-    TR_HD void operator()(uint32_t i) const {
+    bool adds() const { return !gradients.to.fixed && !gradients.to.forward; }
+    // Of sample i; value(c, k): of the film's channels, `Most` at most, along ray k.
+    template <int Most, class Value>
+    TR_HD void add(uint32_t i, Value &&value) const {
         const SightRecord<S> &r = from[i];
         const bool forward = gradients.to.forward;
         if (forward) film.tell_nothing(i);
         if (!r.kept) return;
         const SightSamples<S> samples(gradients.scene, gradients.config, view);
-        double jumps[BoundaryFilm<S>::MostOutlineChannels];
-        for (int32_t c = 0; c < film.channels; ++c) {
-            const S *values = c + 1 < film.channels ? radiance[c] : alpha;
-            jumps[c] = samples.jump(r.x, double(values[2 * i]), double(values[2 * i + 1]));
-        }
-        const S w = forward ? S(1) : film.contracted(r.place.x, r.place.y, jumps);
+        double jumps[Most];
+        for (int32_t c = 0; c < film.channels; ++c)
+            jumps[c] = samples.jump(r.x, double(value(c, 2 * i)), double(value(c, 2 * i + 1)));
+        const S w = forward ? S(1) : film.template contracted<Most>(r.place.x, r.place.y, jumps);
         if (w == 0 || !samples.is_finite(w)) return;
         gradients.with_sink(i, [&](GradientSink<S> &sink, auto &&glue) {
             DevicePointSink<S> points{sink};
@@ -114,8 +109,28 @@ struct AddSights {
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        view.for_pointers(visit), gradients.for_pointers(visit), visit(from), radiance.each(visit), visit(alpha);
-        film.for_pointers(visit);
+        view.for_pointers(visit), gradients.for_pointers(visit), visit(from), film.for_pointers(visit);
+    }
+};
+
+// ... of light.
+template <class S>
+struct AddSights {
+    static constexpr const char *Name = TR_KERNEL_NAME(AddSights), *Header = "device/sight_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Derivative;
+    bool adds() const { return sums.adds(); }
+    SightSums<S> sums;
+    TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
+    SpectrumColumn<S> radiance;
+    const S *alpha;
+
+    TR_HD void operator()(uint32_t i) const {
+        sums.template add<SpectrumSize + 1>(
+            i, [&](int32_t c, uint32_t k) { return c + 1 < sums.film.channels ? radiance[c][k] : alpha[k]; });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        sums.for_pointers(visit), radiance.each(visit), visit(alpha);
     }
 };
 

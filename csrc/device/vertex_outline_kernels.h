@@ -266,10 +266,11 @@ struct AddOutlines {
     BoundaryView<S> view;
     BoundaryGradients<S> gradients;
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
+    TapeLevelTables<S> levels;
+    AnchorColumns<S> anchors;  // which get the adjoints of their places, also of those that are glued to surfaces
     VertexShares shares;
     const OutlineRecord<S> *records;
     SlotColumns<S> slots;
-    VectorColumn<S> p_bar;
     BoundaryFilm<S> film;
 
     TR_HD void operator()(uint32_t i) const {
@@ -283,23 +284,28 @@ struct AddOutlines {
                 DevicePointSink<S> points{sink};
                 place = place + samples.add(r.x, weights, points, glue);
             }
+            if (view.glued && max_abs(place) > 0) {
+                const TapeVertex<S, const TapeLevelTables<S>> vertex{levels, anchors.level[i], anchors.entry[i]};
+                glue(vertex.point(), vertex.place(), place);
+            }
             if (sink.forward) add_to_entries<S>(slots.radiance, i, sink.derivative, true);
         });
-        p_bar.set(i, place);
+        anchors.p_bar.set(i, place);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        view.for_pointers(visit), gradients.for_pointers(visit), shares.for_pointers(visit), visit(records);
-        slots.for_arrays(visit), p_bar.each(visit), film.for_pointers(visit);
+        view.for_pointers(visit), gradients.for_pointers(visit), visit(levels.at), anchors.for_arrays(visit);
+        shares.for_pointers(visit), visit(records), slots.for_arrays(visit), film.for_pointers(visit);
     }
 
 private:
     TR_HD S weight(uint32_t i, const Spectrum<S> &jump) const {
         if (gradients.to.forward) return jump[gradients.to.component];
-        double jumps[BoundaryFilm<S>::MostOutlineChannels] = {};
+        constexpr int Most = SpectrumSize + 1;
+        double jumps[Most] = {};
         bool some = false;
         for (int c = 0; c + 1 < film.channels; ++c) jumps[c] = double(jump[c]), some |= jump[c] != 0;
-        return some ? film.contracted(slots.film_x[i], slots.film_y[i], jumps) : S(0);
+        return some ? film.template contracted<Most>(slots.film_x[i], slots.film_y[i], jumps) : S(0);
     }
 };
 

@@ -9,68 +9,12 @@ from typing import Any
 
 import pytest
 import torch
-from emulated import RAYS, check_close, gradients, hills
+from emulated import check_close, gradients, hills
+from emulated_outlines import FLOOR, GREY, LIGHTS, POSITIONS, T, check, crumpled_ball, scene_of
 
 import torchrender as tr
 
-trimesh = pytest.importorskip("trimesh")
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
-
-T = tr.Transform
-GREY = {"type": "diffuse", "reflectance": 0.6}
-ABOVE = T.look_at([0.5, 3, 1], [0, 0, 0], [0, 0, 1])
-FLOOR = {"type": "rectangle", "to_world": T.translate([0, -0.9, 0]) @ T.rotate([1, 0, 0], -90) @ T.scale(3)}
-LIGHTS: dict[str, dict[str, Any]] = {
-    "lamp": {"type": "rectangle", "to_world": ABOVE @ T.scale(0.7), "emitter": {"type": "area", "radiance": 10.0}},
-    "bulb": {"type": "sphere", "center": [1, 2.5, 1], "radius": 0.2, "emitter": {"type": "area", "radiance": 30.0}},
-    "sky": {"type": "constant"},
-    "point": {"type": "point", "position": [0.5, 3, 1], "intensity": 20.0},
-    "sun": {"type": "directional", "direction": [-0.3, -1, -0.2], "irradiance": 3.0},
-    "spot": {"type": "spot", "to_world": ABOVE, "intensity": 30.0, "cutoff_angle": 40.0},
-}
-POSITIONS = "ball.vertex_positions"
-
-
-def crumpled_ball(dtype: torch.dtype, smooth: bool = False, subdivisions: int = 2, **given: Any) -> tr.Mesh:
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
-    vertices = 0.8 * torch.tensor(ball.vertices, dtype=dtype)
-    noise = 0.2 / 2**subdivisions * torch.randn(len(vertices), 1, generator=torch.Generator().manual_seed(1))
-    mesh = tr.Mesh(vertices * (1 + noise.to(dtype)), torch.tensor(ball.faces), **{"bsdf": GREY, **given})
-    if smooth:
-        mesh.compute_normals()
-    return mesh
-
-
-def scene_of(dtype: torch.dtype = torch.float32, camera: dict[str, Any] | None = None, **objects: Any) -> tr.Scene:
-    film = {"type": "hdrfilm", "width": 20, "height": 20, "rfilter": {"type": "gaussian"}}
-    to_world = T.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])
-    view = {"type": "perspective", "fov": 40, "to_world": to_world, "film": film, **(camera or {})}
-    return tr.load_dict({"type": "scene", "camera": view, "floor": {**FLOOR, "bsdf": GREY}, **objects}, dtype=dtype)
-
-
-def check(device, scene: tr.Scene, *names: str, parts: int = 3, **settings: Any) -> None:
-    """In both modes, with as many rays of each of so many parts."""
-    scene.train_only(*names)
-    parameters = {name: scene.get_parameter(name) for name in names}
-    settings = {"integrator": tr.PathTracer(max_depth=4), "spp": 1, "spp_grad": 4, **settings}
-    values = tuple(p.detach() for p in parameters.values())
-    generator = torch.Generator().manual_seed(1)
-    tangents = tuple(torch.randn(v.shape, generator=generator, dtype=v.dtype) for v in values)
-
-    def image(*given: torch.Tensor) -> torch.Tensor:
-        return tr.render(scene, params=dict(zip(names, given, strict=True)), seed=3, **settings)
-
-    found = []
-    for place in ("tree", "emulated"):
-        device(place)
-        of = gradients(scene, parameters, **settings)
-        told = scene.statistics["visibility"]
-        rays = {part: told[part]["rays"] for part in told}
-        assert all(rays[part] > 0 for part in rays if part != "pilot") and len(rays.keys() - {"pilot"}) == parts
-        found.append((of, rays, {name: scene.statistics["vjp"][name] for name in RAYS}))
-        found[-1][0]["forward"] = torch.func.jvp(image, values, tangents)[1]
-    check_close(found[1][0], found[0][0])
-    assert found[1][1:] == found[0][1:]
 
 
 @pytest.mark.parametrize("smooth", [False, True])

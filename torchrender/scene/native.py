@@ -104,7 +104,7 @@ class NativeScene:
         if function not in FUNCTIONS:
             require_cpu(function, self.device())
         with self.lock:
-            computing = self._computing(function, args)
+            computing = self.device() if function in RENDERS else "cpu"
             there, alone = self._there(computing, params)
             if there:
                 params = [t if t.is_cpu or a else numbers_on_host(t) for t, a in zip(params, alone, strict=True)]
@@ -139,14 +139,6 @@ class NativeScene:
                 if isinstance(error, ValueError):  # perhaps of numbers that are not finite, without a name
                     self._check_finite(params, repeat(True))
                 raise
-
-    def _computing(self, function: str, args: Sequence[Any]) -> str:
-        """What computes it: of edges that move in media, for light paths and of outputs that is the CPU everywhere."""
-        if function in ("find_outlines", "boundary"):
-            configs = [args[0]] if function == "find_outlines" else args[0][0]
-            elsewhere = any(config.get(name) for config in configs for name in ("volumetric", "glued", "of_outputs"))
-            return "cpu" if elsewhere or not configs else self.device()
-        return self.device() if function in RENDERS else "cpu"
 
     def _there(self, computing: str, params: list[torch.Tensor]) -> tuple[list[bool], list[bool]]:
         """Which of `params` lie in the memory of what renders, and which of them are read there alone; else nothing."""
