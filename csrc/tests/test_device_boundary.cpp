@@ -47,8 +47,10 @@ struct Solids {
     std::vector<double> adjoint;
     Settings settings;
     RenderCall<S> call;
+    const AovLayout layout{3, [](int kind) { return kind == AovDepth || kind == AovUv; }};
+    const bool glued;
 
-    Solids() {
+    explicit Solids(bool glued_ = false) : glued(glued_) {
         load_embree(embree_path());
         build_solids(builder);
         builder.build(data);
@@ -57,7 +59,7 @@ struct Solids {
         data.walk(&walk);
         settings.filter = Filter(FilterKind::Gaussian, 0.5);
         call = make_call(data, settings);
-        CHECK(find_outlines<S>(call, moves.data(), false, data.geometry_version(), outlines, pieces));
+        CHECK(find_outlines<S>(call, moves.data(), glued, data.geometry_version(), outlines, pieces));
         for (int64_t y = 0; y < call.film_height; ++y)
             for (int64_t x = 0; x < call.film_width; ++x) cells.insert(cells.end(), {x, y});
         for (size_t i = 0; i < 2 * cells.size(); ++i) adjoint.push_back(0.5 + double(i % 7));
@@ -67,6 +69,7 @@ struct Solids {
         BoundaryCall<S> b{};
         b.part = part, b.channels = 4, b.filter = call.filter, b.outlines = &outlines, b.pieces = &pieces;
         b.moves = moves.data(), b.cells = cells.data(), b.n_cells = cells.size() / 2;
+        b.layout = &layout, b.glued = glued;
         b.count = count, b.total = b.samples = double(count), b.near = 0.05, b.in_view = 0.7;
         b.adjoint = adjoint.data();
         return b;
@@ -82,6 +85,7 @@ struct Solids {
         std::vector<BoundaryCall<S>> parts;
         for (const BoundaryPart part : {BoundaryPart::Silhouettes, BoundaryPart::Shadows, BoundaryPart::Reflections})
             parts.push_back(boundary(part, count));
+        if (!glued) parts.push_back(boundary(BoundaryPart::Outputs, count));
         const ShadowPieces shadows = find_shadows<S>(call, parts[1], look);
         parts[1].shadows = &shadows;
         const std::vector<RenderCall<S>> calls(parts.size(), call);
@@ -126,8 +130,8 @@ bool are_close(const std::vector<std::vector<S>> &found, const std::vector<std::
 }  // namespace
 
 template <class S>
-static void check_outlines(const std::vector<size_t> &memories) {
-    const Solids<S> solids;
+static void check_outlines(const std::vector<size_t> &memories, bool glued = false) {
+    const Solids<S> solids(glued);
     constexpr uint64_t count = 2500;
     const auto expected = solids.on_cpu(count);
     S largest = 0;
@@ -152,6 +156,10 @@ TR_TEST(outlines_of_the_device_are_those_of_the_cpu_in_any_batches) {
     check_outlines<double>({size_t(1) << 20});
 }
 
+TR_TEST(outlines_of_light_paths_of_the_device_are_those_of_the_cpu) {
+    check_outlines<float>({size_t(1) << 19}, true);
+}
+
 TR_TEST(batches_of_outlines_shrink) {
     const Solids<float> solids;
     EmulatedOptions options;
@@ -170,6 +178,8 @@ TR_TEST(kernels_of_outlines_take_no_more_of_a_card) {
     check_resources({{kernel_of<FindSights<float>>(), room, -1, ""},
                      {kernel_of<StartSights<float>>(), room, -1, ""},
                      {kernel_of<AddSights<float>>(), room, MissKind, ""},
+                     {kernel_of<LookUpOutputs<float>>(), room, -1, ""},
+                     {kernel_of<AddOutputSights<float>>(), room, MissKind, ""},
                      {kernel_of<FindEdges<float>>(), lights, -1, ""},
                      {kernel_of<ShadeEnds<float>>(), room, diffuse, ",diffuse"},
                      {kernel_of<ConnectEdges<float>>(), room, -1, ""},
@@ -177,6 +187,7 @@ TR_TEST(kernels_of_outlines_take_no_more_of_a_card) {
                      {kernel_of<SweepPlaces<float>>(), room, diffuse, ",diffuse"},
                      {kernel_of<NumberOutlines<float>>(), room, -1, ""},
                      {kernel_of<KeepInPixels<float>>(), room, -1, ""},
+                     {kernel_of<KeepSmooth<float>>(), room, -1, ""},
                      {kernel_of<ChooseVertices<float>>(), room, -1, ""},
                      {kernel_of<LookAtVertices<float>>(), room, diffuse, ",diffuse"},
                      {kernel_of<ScatterTowards<float>>(), room, diffuse, ",diffuse"},

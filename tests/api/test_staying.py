@@ -232,16 +232,21 @@ def test_what_is_copied_for_edges_that_move(there):
     assert there.statistics["visibility"]["shadows"]["rays"] > 0
     large = {t for t in card.transfers if torch.Size(t[1]).numel() > 64}
     assert large and (FROM, TEXELS) not in large and large <= {(FROM, IMAGE), (TO, IMAGE), (TO, (36, 3))}, large
+    card.transfers.clear()
+    outputs = tr.render(there, outputs=("albedo", "uv"), visibility=True, **SETTINGS)
+    (outputs.albedo.sum() + outputs.uv.sum()).backward()
+    assert there.statistics["visibility_outputs"]["outputs"]["rays"] > 0
+    assert (FROM, TEXELS) not in card.transfers
 
 
 def test_edges_that_move(device):
-    """The motion of those of outputs is the CPU's, to which the textures are copied."""
     names = (PAPER, COLOUR, "ball.center", "sheet.vertex_positions", "sensor.to_world")
     found = []
     for scene in scenes():
         parameters = list(scene.train_only(*names))
-        outputs = tr.render(scene, outputs=("rgb", "alpha", "depth"), visibility=True, **SETTINGS)
-        loss = outputs.rgb.square().sum() + outputs.alpha.sum() + outputs.depth[outputs.depth.isfinite()].sum()
+        outputs = tr.render(scene, outputs=("rgb", "alpha", "depth", "albedo"), visibility=True, **SETTINGS)
+        seen = outputs.depth[outputs.depth.isfinite()].sum() + outputs.albedo.square().sum()
+        loss = outputs.rgb.square().sum() + outputs.alpha.sum() + seen
         found.append([outputs.rgb, *torch.autograd.grad(loss, parameters)])
         assert scene.statistics["visibility"]["silhouettes"]["samples"] > 0
     check_equal(*(gradient[:1] for gradient in found))

@@ -1,4 +1,4 @@
-"""Scenes with edges that move, whose derivatives on the emulated device are those of the CPU, which walks the same tree.
+"""Scenes with edges that move, whose derivatives on the emulated device are those of the CPU in the same tree.
 
 Both take the same samples and rays, so that derivatives differ by the order of sums alone.
 """

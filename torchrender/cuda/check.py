@@ -268,22 +268,23 @@ class Check:
         return {"passed": passed, "gradients": found}
 
     def edges(self) -> dict[str, Any]:
-        """What edges add to gradients by what moves them, of some of `rooms`, as in `gradients`; the same twice."""
+        """What edges add to gradients by what moves them, of some of `rooms`, as in `gradients`; the same twice.
+
+        Of images, of light paths and through a cloud, too, and of an output besides.
+        """
         found, passed, described = {}, True, rooms()
-        for kind in ("diffuse", "roughplastic", "dielectric", "heightfield"):
+        images = ("diffuse", "roughplastic", "dielectric", "heightfield", "light", "cloud")
+        for kind, output in (*((image, "rgb") for image in images), ("diffuse", "albedo")):
             scene = load_dict(described[kind])
             moving = {slot.name for slot in scene.layout().slots if moves_rays(slot)}
             names = [name for name in train_all(scene) if name in moving]
             scene.train_only(*names)
 
-            def gradients(scene: Scene = scene, names: list[str] = names) -> list[torch.Tensor]:
-                off = [
-                    torch.autograd.grad(
-                        render(scene, spp=4, spp_grad=16, seed=3, visibility=edges).square().sum(),
-                        [scene.get_parameter(n) for n in names],
-                    )
-                    for edges in (True, False)
-                ]
+            def gradients(scene: Scene = scene, names: list[str] = names, output: str = output) -> list[torch.Tensor]:
+                off = []
+                for edges in (True, False):
+                    (seen,) = render(scene, spp=4, spp_grad=16, seed=3, outputs=(output,), visibility=edges)
+                    off.append(torch.autograd.grad(seen.square().sum(), [scene.get_parameter(n) for n in names]))
                 return [a - b for a, b in zip(*off, strict=True)]
 
             expected, got = self.both(gradients)
@@ -292,7 +293,8 @@ class Check:
             largest = max(a.abs().max().item() for a in expected)
             off = {n: (b - a).abs().max().item() / largest for n, a, b in zip(names, expected, got, strict=True)}
             worst = max(off, key=lambda name: off[name])
-            found[kind] = {"off by": off[worst], "in": worst, "of": len(off), "repeats": repeats}
+            told = kind if output == "rgb" else f"{output} of {kind}"
+            found[told] = {"off by": off[worst], "in": worst, "of": len(off), "repeats": repeats}
             passed = passed and repeats and all(x < MOST_OFF for x in off.values())
         return {"passed": passed, "edges": found}
 
