@@ -156,9 +156,7 @@ TR_TEST(outlines_of_the_device_are_those_of_the_cpu_in_any_batches) {
     check_outlines<double>({size_t(1) << 20});
 }
 
-TR_TEST(outlines_of_light_paths_of_the_device_are_those_of_the_cpu) {
-    check_outlines<float>({size_t(1) << 19}, true);
-}
+TR_TEST(outlines_of_light_paths_of_the_device_are_those_of_the_cpu) { check_outlines<float>({size_t(1) << 19}, true); }
 
 TR_TEST(batches_of_outlines_shrink) {
     const Solids<float> solids;
