@@ -1,8 +1,12 @@
 #include "compiling_launcher.h"
 
 #include <cstring>
+#include <future>
 #include <set>
 #include <utility>
+#include <vector>
+
+#include "compile_beside.h"
 
 namespace tr::cuda {
 
@@ -21,13 +25,13 @@ public:
     }
     void release(void *) noexcept override {}
     void upload(void *, const void *, size_t) override {}
-    void download(void *to, const void *, size_t bytes) override { std::memset(to, 0, bytes); }
-    void copy(void *, const void *, size_t) override {}
-    void synchronize() override {}
-    void know(const SceneFacts &facts) override {
-        facts_ = facts;
-        known_.clear();
+    void download(void *to, const void *, size_t bytes) override {
+        finish();
+        std::memset(to, 0, bytes);
     }
+    void copy(void *, const void *, size_t) override {}
+    void synchronize() override { finish(); }
+    void know(const SceneFacts &facts) override { facts_ = facts; }
 
 private:
     const KernelCompiler &(*const compiler_)();
@@ -35,16 +39,29 @@ private:
     const bool ptx_;
     uintptr_t next_ = 256;
     SceneFacts facts_;
-    std::set<std::pair<const char *, int>> known_;  // compiled for these facts, by kernel and BSDF
+    // Kernels, with all that they are compiled for, and by which compiler.
+    std::set<std::pair<const KernelCompiler *, std::vector<std::string>>> begun_;
+    std::vector<std::future<std::string>> compiling_;
 
     void launch(const Kernel &kernel, const void *, uint32_t, int bsdf) override {
-        if (!knows_bsdf(kernel.knows)) bsdf = -1;
-        if (!known_.insert({kernel.name, bsdf}).second) return;
         const std::vector<std::string> definitions = facts_.options(kernel.knows, bsdf);
-        if (ptx_)
-            compiler_().code(kernel, "compute_" + std::to_string(capability_), definitions);
-        else
-            compiler_().for_card(kernel, capability_, definitions);
+        const KernelCompiler &compiler = compiler_();
+        std::vector<std::string> key = definitions;
+        key.emplace_back(kernel.name);
+        if (!begun_.insert({&compiler, std::move(key)}).second) return;
+        compiling_.push_back(compile_beside([this, definitions, &kernel, &compiler] {
+            return ptx_ ? compiler.code(kernel, "compute_" + std::to_string(capability_), definitions)
+                        : compiler.for_card(kernel, capability_, definitions);
+        }));
+    }
+    void finish() {
+        std::vector<std::future<std::string>> all = std::exchange(compiling_, {});  // all of which are waited for
+        try {
+            for (auto &each : all) each.get();
+        } catch (...) {
+            begun_.clear();  // whoever asks again is told again
+            throw;
+        }
     }
 };
 

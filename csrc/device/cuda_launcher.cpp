@@ -2,11 +2,17 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstddef>
 #include <cstdlib>
 #include <cstring>
+#include <future>
+#include <iterator>
 #include <mutex>
 #include <stdexcept>
 #include <utility>
+#include <vector>
+
+#include "compile_beside.h"
 
 namespace tr::cuda {
 
@@ -37,7 +43,8 @@ public:
     }
     ~CardLauncher() override {
         if (api_.CtxPushCurrent(context_) == Success) {
-            for (auto &[name, loaded] : modules_) api_.ModuleUnload(loaded.first);
+            for (auto &[name, loaded] : modules_)
+                if (loaded.module) api_.ModuleUnload(loaded.module);
             Context before;
             api_.CtxPopCurrent(&before);
         }
@@ -83,17 +90,20 @@ public:
     }
     void upload(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
+        start_waiting();
         busy_ = true;
         // of pageable memory it was read when this returns
         check(api_, api_.MemcpyHtoDAsync(address(to), from, bytes, stream_), "copying to " + card_.name);
     }
     void download(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
+        start_waiting();
         check(api_, api_.MemcpyDtoHAsync(to, address(from), bytes, stream_), "copying from " + card_.name);
         wait();
     }
     void copy(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
+        start_waiting();
         busy_ = true;
         check(api_, api_.MemcpyDtoDAsync(address(to), address(from), bytes, stream_), "copying on " + card_.name);
     }
@@ -112,6 +122,7 @@ public:
     }
     void synchronize() override {
         const Current current(*this);
+        start_waiting();
         wait();
     }
 
@@ -126,9 +137,22 @@ private:
     Device device_ = 0;
     Context context_ = nullptr;
     SceneFacts facts_;
-    std::map<std::pair<const char *, int>, Function> known_;      // compiled for these facts, by kernel and BSDF
-    std::map<std::string, std::pair<Module, Function>> modules_;  // by kernel and all that it was compiled for
-    std::string last_;                                            // what was launched
+    // What a kernel was compiled to, once that is done: until then launches of it wait, and so do all behind these.
+    struct Loaded {
+        Module module = nullptr;
+        Function function = nullptr;
+        std::future<std::string> code;
+    };
+    struct Waiting {
+        const Kernel &kernel;
+        Loaded &loaded;
+        std::vector<std::max_align_t> functor;
+        uint32_t n;
+    };
+    std::map<std::string, Loaded> modules_;                   // by kernel and all that it was compiled for
+    std::map<std::pair<const char *, int>, Loaded *> known_;  // those for these facts, by kernel and BSDF
+    std::vector<Waiting> waiting_;
+    std::string last_;  // what was launched
     const bool waits_ = waits_for_kernels();
 
     struct Current {
@@ -150,37 +174,62 @@ private:
         busy_ = false;
     }
 
-    Function function(const Kernel &kernel, int bsdf) {
+    Loaded &loaded(const Kernel &kernel, int bsdf) {
         if (!knows_bsdf(kernel.knows)) bsdf = -1;
-        Function &known = known_[{kernel.name, bsdf}];
-        if (!known) known = load(kernel, facts_.options(kernel.knows, bsdf));
-        return known;
-    }
-    Function load(const Kernel &kernel, const std::vector<std::string> &options) {
+        Loaded *&known = known_[{kernel.name, bsdf}];
+        if (known) return *known;
+        const std::vector<std::string> options = facts_.options(kernel.knows, bsdf);
         std::string key = kernel.name;
         for (const std::string &option : options) key += option;
-        auto found = modules_.find(key);
-        if (found != modules_.end()) return found->second.second;
-        const std::string code = compiler_.for_card(kernel, card_.capability, options),
-                          doing = std::string("loading ") + kernel.name;
-        std::pair<Module, Function> loaded;
-        check(api_, api_.ModuleLoadData(&loaded.first, code.data()), doing);
-        modules_[key] = loaded;  // unloaded also if the function is not in it
-        check(api_, api_.ModuleGetFunction(&loaded.second, loaded.first, KernelCompiler::EntryPoint), doing);
-        modules_[key] = loaded;
-        return loaded.second;
+        known = &modules_[key];
+        if (!known->function && !known->code.valid())
+            known->code = compile_beside(
+                [this, options, &kernel] { return compiler_.for_card(kernel, card_.capability, options); });
+        return *known;
+    }
+    void load(const Kernel &kernel, Loaded &to) {
+        if (to.function) return;
+        const std::string code = to.code.get(), doing = std::string("loading ") + kernel.name;
+        check(api_, api_.ModuleLoadData(&to.module, code.data()), doing);
+        check(api_, api_.ModuleGetFunction(&to.function, to.module, KernelCompiler::EntryPoint), doing);
     }
 
     void launch(const Kernel &kernel, const void *functor, uint32_t n, int bsdf) override {
         const Current current(*this);
-        const Function entry = function(kernel, bsdf);
+        Loaded &to = loaded(kernel, bsdf);
+        if (to.function && waiting_.empty()) return start(kernel, to, functor, n);
+        std::vector<std::max_align_t> kept((kernel.size - 1) / sizeof(std::max_align_t) + 1);
+        std::memcpy(kept.data(), functor, kernel.size);
+        waiting_.push_back({kernel, to, std::move(kept), n});
+        busy_ = true;
+        if (waits_) start_waiting();
+    }
+    // In their order. Where one fails the others are forgotten, and compiled anew when they are launched again.
+    void start_waiting() {
+        const std::vector<Waiting> all = std::exchange(waiting_, {});
+        try {
+            for (const Waiting &each : all) {
+                load(each.kernel, each.loaded);
+                start(each.kernel, each.loaded, each.functor.data(), each.n);
+            }
+        } catch (...) {
+            known_.clear();
+            for (auto at = modules_.begin(); at != modules_.end();) {
+                const bool lost = !at->second.function && !at->second.code.valid();
+                if (lost && at->second.module) api_.ModuleUnload(at->second.module);
+                at = lost ? modules_.erase(at) : std::next(at);
+            }
+            throw;
+        }
+    }
+    void start(const Kernel &kernel, const Loaded &loaded, const void *functor, uint32_t n) {
         const unsigned most = unsigned(card_.multiprocessors) * BlocksPerMultiprocessor,
                        threads = kernel.blocks ? BlockSize : Threads,
                        blocks = std::min(kernel.blocks ? n : (n - 1) / Threads + 1, most);
         void *parameters[] = {const_cast<void *>(functor), &n};
         last_ = kernel.name, busy_ = true;
         const auto begin = std::chrono::steady_clock::now();
-        check(api_, api_.LaunchKernel(entry, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr),
+        check(api_, api_.LaunchKernel(loaded.function, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr),
               "launching " + last_);
         if (!waits_) return;
         wait();

@@ -56,7 +56,7 @@ struct BeginMedia {
 template <class S>
 struct FlyRays {
     static constexpr const char *Name = TR_KERNEL_NAME(FlyRays), *Header = "device/medium_kernels.h";
-    static constexpr Knowledge Knows = Knowledge::Scene;
+    static constexpr Knowledge Knows = Knowledge::Paths;
     PathStage<S> stage;
     MediumContext<S> media;
     PathQueue<S> queue;

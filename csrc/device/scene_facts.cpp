@@ -97,8 +97,10 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     define("PHASE_KINDS", std::to_string(all && volumetric ? phases : 0) + "u");
     number("VOLUMETRIC", all && volumetric), number("CHROMATIC", all && volumetric && chromatic);
     number("LIGHT_PATHS", all && light_paths);
-    number("RECORDS", all && records), number("DERIVATIVES", knowledge == Knowledge::Derivative);
-    number("FORWARD", knowledge == Knowledge::Derivative && forward), number("MOTION", all && motion);
+    const bool paths = knows_paths(knowledge);  // others find out when they run
+    number("RECORDS", !paths || records), number("MOTION", !paths || motion);
+    number("DERIVATIVES", knowledge == Knowledge::Derivative);
+    number("FORWARD", knowledge == Knowledge::Derivative && forward);
     number("FIXED_SUMS", knowledge == Knowledge::Derivative && fixed_sums);
     if (!knows_bsdf(knowledge)) return r;
     number("BSDF_KIND", bsdf);

@@ -375,6 +375,8 @@ TR_TEST(cards_are_driven) {
         DeviceArray<float> array;
         array.upload(*device, numbers.data(), numbers.size());
         device->run(AddOne{array.get()}, 5000);
+        CHECK(fake.grid == 0);  // it is compiled first
+        device->synchronize();
         CHECK(fake.grid == 32);  // 16 blocks a multiprocessor, although 40 would be as many as there are items
         device->run(AddOne{array.get()}, 100);
         CHECK(fake.grid == 1);
@@ -403,6 +405,41 @@ TR_TEST(cards_are_driven) {
           "retain load:\x7f"
           "ELF\x2\x1\x1\x33\a unload let go ");
     CHECK(folder.files().size() == 1);
+}
+
+TR_TEST(what_was_launched_waits_for_its_kernel_in_order) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    fake = {};
+    const cuda::Api api = fake_api();
+    const TemporaryFolder folder;
+    const std::vector<float> numbers(10, 1.f), others(10, 5.f);
+    std::vector<float> found(10);
+    {
+        const cuda::KernelCompiler compiler(nullptr, sources(), KernelCache(folder.path));
+        const auto device = cuda::make_launcher(api, compiler, 0);
+        DeviceArray<float> array;
+        array.upload(*device, numbers.data(), 10);
+        for (int time = 0; time < 2; ++time) {  // each launch tells anew that there is no compiler
+            device->run(AddOne{array.get()}, 10), device->run(AddOne{array.get()}, 10);
+            CHECK_THROWS(array.download(found.data(), 10), std::runtime_error, "there is no NVRTC to compile");
+            array.download(found.data(), 10);
+            CHECK(found == numbers);
+        }
+    }
+    if (!nvrtc) return;
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
+    const auto device = cuda::make_launcher(api, compiler, 0);
+    DeviceArray<float> array;
+    array.upload(*device, numbers.data(), 10);
+    device->run(AddOne{array.get()}, 10), device->run(AddOne{array.get()}, 5);
+    CHECK(fake.grid == 0);
+    std::vector<float> copied(10);
+    device->copy(copied.data(), array.get(), 10 * sizeof(float));  // behind the launches
+    CHECK(fake.grid == 1 && copied[4] == 3 && copied[5] == 2);
+    device->run(AddOne{array.get()}, 10);
+    array.upload(*device, others.data(), 10);
+    array.download(found.data(), 10);
+    CHECK(found == others);
 }
 
 TR_TEST(memory_of_cards_may_be_anothers) {
@@ -450,6 +487,11 @@ TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {
     plain.emitters = 5;
     CHECK(has(plain.options(Knowledge::Scene, -1), "-DTR_EMITTER_KINDS=5u"));
     CHECK(has(plain.options(Knowledge::Shapes, -1), "-DTR_EMITTER_KINDS=0u"));
+    SceneFacts recorded = plain;
+    recorded.records = recorded.motion = true;
+    CHECK(plain.options(Knowledge::Scene, -1) == recorded.options(Knowledge::Scene, -1));
+    for (const Knowledge shades : {Knowledge::Paths, Knowledge::Bsdf, Knowledge::Derivative})
+        CHECK(plain.options(shades, 0) != recorded.options(shades, 0));
     CHECK(has(plain.options(Knowledge::Bsdf, 0), "-DTR_ONE_BSDF=Diffuse"));
     CHECK(has(plain.options(Knowledge::Bsdf, 0), "-DTR_BSDF_SOURCE=\"core/bsdf/diffuse.cpp\""));
     const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
