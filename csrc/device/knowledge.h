@@ -1,5 +1,6 @@
-// What of a scene a kernel has to know when it is compiled: nothing; its shapes; the models of what it has; also whether
-// its paths are recorded, and for what; and of its BSDFs the one that the kernel shades, or whose derivatives it takes.
+// What of a scene a kernel has to know when it is compiled: nothing; its shapes; the models of what it has; also
+// whether its paths are recorded, and for what; and of its BSDFs the one that the kernel shades, or whose derivatives
+// it takes.
 #pragma once
 
 namespace tr {
