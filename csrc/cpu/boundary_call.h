@@ -1,9 +1,11 @@
 // What the derivative of moving outlines is asked for, besides what every derivative is (DerivativeCall).
 #pragma once
 
+#include <algorithm>
 #include <functional>
-#include "aovs.h"
+#include <vector>
 
+#include "aovs.h"
 #include "core/boundary/samples.h"
 #include "shadow_pieces.h"
 

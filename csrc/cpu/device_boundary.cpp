@@ -16,11 +16,11 @@ void check(const RenderCall<S> &call, const BoundaryCall<S> &boundary) {
     const char *missing = call.config.stokes                     ? "polarised light"
                           : call.config.spectral.positions       ? "wavelengths"
                           : call.scene->bends                    ? "media that light bends in"
-                          : call.config.volumetric && !of_camera ? "media that the camera does not see"
+                          : call.config.volumetric && !of_camera ? "what vertices and lights see in media"
                                                                  : nullptr;
-    if (missing)
-        throw std::invalid_argument(std::string("device: there are no derivatives of outlines of ") + missing +
-                                    " on devices yet");
+    if (missing) throw std::invalid_argument(std::string("device: there are no derivatives of outlines of ") + missing);
+    if (boundary.weighs && boundary.part == BoundaryPart::Outputs)
+        throw std::invalid_argument("device: there are no weights of outputs besides radiance");
 }
 
 }  // namespace
@@ -150,7 +150,7 @@ void DeviceBoundary<S>::reserve(Work &work) {
     if (work.of_camera()) sights_.reserve(launcher_, n);
     if (work.part() == BoundaryPart::Silhouettes) open(light_, work.light, 2 * n, work.light_parts());
     if (work.part() == BoundaryPart::Outputs) {
-        open(light_, work.light, 1);  // which counts rays
+        open(light_, work.light, 1, work.light_parts());  // which counts rays
         outputs_.reserve(launcher_, 2 * size_t(n) * size_t(boundary.channels));
     }
     if (work.part() == BoundaryPart::Reflections) {
@@ -229,7 +229,6 @@ void DeviceBoundary<S>::see_from_camera(Work &work, uint32_t n, const Derivative
     const OutputValues<S> outputs{outputs_.get(), 2 * work.batch};
     launcher_.know(work.paths.facts);
     launcher_.run(FindSights<S>{work.stage(light_.totals()), sights_.get()}, n);
-    launcher_.know(work.light.facts);
     if (of_outputs)
         launcher_.run(LookUpOutputs<S>{work.stage(nullptr), *work.boundary.layout, sights_.get(), outputs}, 2 * n);
     else
@@ -261,6 +260,7 @@ template <class S>
 void DeviceBoundary<S>::look_up_light(Work &work, uint32_t n) {
     const BatchColumns<S> &at = light_.at();
     const LightRays<S> rays{at.slots, at.queues[0], at.hits, at.out_key};
+    launcher_.know(work.light.facts);
     launcher_.run(StartSights<S>{sights_.get(), work.boundary.first + work.first, rays}, 2 * n);
     light_.list_started(2 * n);
     light_.run(work.light, 2 * n, 0, !work.call.config.hide_emitters, work.boundary.glued);

@@ -1,6 +1,7 @@
-// The derivative of moving outlines on a device: the samples of boundary_{seen,lights,reflections}.h by the kernels of
-// device/{sight,output_sight,shadow,vertex}_kernels.h, their paths and light by those of paths. Not of polarised light
-// and wavelengths.
+// The derivative of moving outlines on a device: the samples of boundary_{seen,outputs,lights,reflections}.h by the
+// kernels of device/{sight,output_sight,shadow,vertex}_kernels.h, their paths and light by those of paths. Not of
+// polarised light, wavelengths, media that light bends in, and of more in media than the camera sees, which nobody
+// computes.
 #pragma once
 
 #include <functional>

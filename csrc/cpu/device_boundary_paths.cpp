@@ -245,9 +245,7 @@ void DeviceBoundary<S>::see_from_vertices(Work &work, uint32_t n, const Derivati
                                        {light.slots, light.queues[0], light.hits, light.out_key}},
                       2 * room);
         light_.list_started(2 * room);
-        const uint32_t started = light_.n_started();
-        if (started == 0) continue;
-        light_.run(work.light, started, l + 1, true);
+        if (const uint32_t started = light_.n_started(); started > 0) light_.run(work.light, started, l + 1, true);
         launcher_.know(work.paths.facts);
         launcher_.run(TakeOutlines<S>{stage, records_.get(), anchors_.at.level.at, level, light.slots.radiance}, room);
     }

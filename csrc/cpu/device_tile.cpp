@@ -96,11 +96,7 @@ void DeviceTile<S>::run(DeviceCall<S> &work, uint32_t n, int first, bool traced,
     const bool scatters = depth < 0 || depth > first + 1;
     for (int split = 0; split < (first == 0 ? work.splits() : 1); ++split) {
         if (split > 0) trace_hits(work, queues[0], camera_, false, n);
-        step(work, {first, split, scatters}, queues[0], camera_, queues[1], n, TapeLevel::NoParents);
-        if (scattered && scatters) {
-            launcher_.run(KeepSmooth<S>{queues[1].pdf.at, sorted_.n, at_.out_key}, n);
-            keep(at_.out_key, sorted_.n, live_, n);
-        }
+        step(work, {first, split, scatters}, queues[0], camera_, queues[1], n, TapeLevel::NoParents, scattered);
         PathQueue<S> *current = &queues[1], *next = &queues[2];
         uint32_t most = n;  // that may be left
         for (int level = first + 1; depth < 0 || level < depth; ++level) {
@@ -198,10 +194,11 @@ ShadeHits<S> DeviceTile<S>::shading(const PathStage<S> &stage, const PathStep &a
             ranges.begin, ranges.total, out,      at_.shadows, at_.out_key, at_.shadow_key};
 }
 
-// Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_.
+// Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_, `smooth_alone`: those
+// in directions of smooth BSDFs.
 template <class S>
 void DeviceTile<S>::step(const DeviceCall<S> &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
-                         const PathQueue<S> &out, uint32_t n, int parents) {
+                         const PathQueue<S> &out, uint32_t n, int parents, bool smooth_alone) {
     const int depth = work.call.config.max_depth;
     const bool volumetric = work.call.config.volumetric;
     Sorted ranges;
@@ -231,6 +228,7 @@ void DeviceTile<S>::step(const DeviceCall<S> &work, const PathStep &at, PathQueu
                                       stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
                       n);
     }
+    if (smooth_alone) launcher_.run(KeepSmooth<S>{out.pdf.at, sorted_.n, at_.out_key}, n);
     keep(at_.out_key, sorted_.n, live_, n);
 }
 

@@ -157,7 +157,7 @@ protected:
     ShadeHits<S> shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in, const PathQueue<S> &out,
                          const Sorted &ranges) const;
     void step(const DeviceCall<S> &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
-              const PathQueue<S> &out, uint32_t n, int parents);
+              const PathQueue<S> &out, uint32_t n, int parents, bool smooth_alone = false);
     void sweep(const DeviceCall<S> &work, const DerivativePlaces<S> &to, bool unit_adjoint, int last);
     void sweep(const DeviceCall<S> &work, const DerivativePlaces<S> &to, bool unit_adjoint) {
         sweep(work, to, unit_adjoint, levels_.size() - 1);

@@ -1,7 +1,6 @@
 #include "compiling_launcher.h"
 
 #include <cstring>
-#include <future>
 #include <set>
 #include <utility>
 #include <vector>
@@ -41,7 +40,8 @@ private:
     SceneFacts facts_;
     // Kernels, with all that they are compiled for, and by which compiler.
     std::set<std::pair<const KernelCompiler *, std::vector<std::string>>> begun_;
-    std::vector<std::future<std::string>> compiling_;
+    std::vector<std::shared_ptr<CompileBeside::Job>> waited_for_;
+    CompileBeside compiling_;
 
     void launch(const Kernel &kernel, const void *, uint32_t, int bsdf) override {
         const std::vector<std::string> definitions = facts_.options(kernel.knows, bsdf);
@@ -49,17 +49,17 @@ private:
         std::vector<std::string> key = definitions;
         key.emplace_back(kernel.name);
         if (!begun_.insert({&compiler, std::move(key)}).second) return;
-        compiling_.push_back(compile_beside([this, definitions, &kernel, &compiler] {
+        waited_for_.push_back(compiling_.begin([this, definitions, &kernel, &compiler] {
             return ptx_ ? compiler.code(kernel, "compute_" + std::to_string(capability_), definitions)
                         : compiler.for_card(kernel, capability_, definitions);
         }));
     }
     void finish() {
-        std::vector<std::future<std::string>> all = std::exchange(compiling_, {});  // all of which are waited for
+        const std::vector<std::shared_ptr<CompileBeside::Job>> all = std::exchange(waited_for_, {});
         try {
-            for (auto &each : all) each.get();
+            for (const auto &each : all) compiling_.wait(*each);
         } catch (...) {
-            begun_.clear();  // whoever asks again is told again
+            compiling_.drop(), begun_.clear();  // whoever asks again is told again
             throw;
         }
     }

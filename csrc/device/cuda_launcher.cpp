@@ -5,8 +5,7 @@
 #include <cstddef>
 #include <cstdlib>
 #include <cstring>
-#include <future>
-#include <iterator>
+#include <memory>
 #include <mutex>
 #include <stdexcept>
 #include <utility>
@@ -53,7 +52,7 @@ public:
 
     void *allocate(size_t bytes) override {
         if (memory_.serve) {
-            CardMemory::Request request{bytes, ordinal_, static_cast<void *>(stream_), nullptr, 0};
+            CardMemory::Request request{std::max<size_t>(bytes, 1), ordinal_, static_cast<void *>(stream_), nullptr, 0};
             busy_ = true;  // it may be used by what went before on this stream
             memory_.serve(&request);
             if (!request.served)
@@ -141,7 +140,7 @@ private:
     struct Loaded {
         Module module = nullptr;
         Function function = nullptr;
-        std::future<std::string> code;
+        std::shared_ptr<CompileBeside::Job> code;
     };
     struct Waiting {
         const Kernel &kernel;
@@ -152,6 +151,7 @@ private:
     std::map<std::string, Loaded> modules_;                   // by kernel and all that it was compiled for
     std::map<std::pair<const char *, int>, Loaded *> known_;  // those for these facts, by kernel and BSDF
     std::vector<Waiting> waiting_;
+    CompileBeside compiling_;
     std::string last_;  // what was launched
     const bool waits_ = waits_for_kernels();
 
@@ -182,16 +182,17 @@ private:
         std::string key = kernel.name;
         for (const std::string &option : options) key += option;
         known = &modules_[key];
-        if (!known->function && !known->code.valid())
-            known->code = compile_beside(
+        if (!known->function && !known->code)
+            known->code = compiling_.begin(
                 [this, options, &kernel] { return compiler_.for_card(kernel, card_.capability, options); });
         return *known;
     }
     void load(const Kernel &kernel, Loaded &to) {
         if (to.function) return;
-        const std::string code = to.code.get(), doing = std::string("loading ") + kernel.name;
+        const std::string &code = compiling_.wait(*to.code), doing = std::string("loading ") + kernel.name;
         check(api_, api_.ModuleLoadData(&to.module, code.data()), doing);
         check(api_, api_.ModuleGetFunction(&to.function, to.module, KernelCompiler::EntryPoint), doing);
+        to.code = nullptr;
     }
 
     void launch(const Kernel &kernel, const void *functor, uint32_t n, int bsdf) override {
@@ -204,7 +205,8 @@ private:
         busy_ = true;
         if (waits_) start_waiting();
     }
-    // In their order. Where one fails the others are forgotten, and compiled anew when they are launched again.
+    // In their order. Where one fails the others are forgotten, and what is not loaded is compiled anew when it is
+    // launched again.
     void start_waiting() {
         const std::vector<Waiting> all = std::exchange(waiting_, {});
         try {
@@ -213,14 +215,22 @@ private:
                 start(each.kernel, each.loaded, each.functor.data(), each.n);
             }
         } catch (...) {
-            known_.clear();
+            compiling_.drop(), known_.clear();
             for (auto at = modules_.begin(); at != modules_.end();) {
-                const bool lost = !at->second.function && !at->second.code.valid();
-                if (lost && at->second.module) api_.ModuleUnload(at->second.module);
-                at = lost ? modules_.erase(at) : std::next(at);
+                if (at->second.function) {
+                    ++at;
+                    continue;
+                }
+                if (at->second.module) api_.ModuleUnload(at->second.module);
+                at = modules_.erase(at);
             }
             throw;
         }
+    }
+    bool gives_room() const {
+        CardMemory::Request request{0, ordinal_, static_cast<void *>(stream_), nullptr, 0};
+        if (memory_.serve) memory_.serve(&request);
+        return request.served != 0;
     }
     void start(const Kernel &kernel, const Loaded &loaded, const void *functor, uint32_t n) {
         const unsigned most = unsigned(card_.multiprocessors) * BlocksPerMultiprocessor,
@@ -229,8 +239,12 @@ private:
         void *parameters[] = {const_cast<void *>(functor), &n};
         last_ = kernel.name, busy_ = true;
         const auto begin = std::chrono::steady_clock::now();
-        check(api_, api_.LaunchKernel(loaded.function, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr),
-              "launching " + last_);
+        const auto launched = [&] {
+            return api_.LaunchKernel(loaded.function, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr);
+        };
+        Result result = launched();
+        if (result == OutOfMemory && gives_room()) result = launched();  // stacks of all threads are the driver's
+        check(api_, result, "launching " + last_);
         if (!waits_) return;
         wait();
         const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();

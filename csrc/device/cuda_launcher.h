@@ -12,7 +12,7 @@
 namespace tr::cuda {
 
 // Where memory of cards is taken from and given back to, in place of the driver, by requests that are served or, after
-// an error, not.
+// an error, not. One for no bytes asks to give the driver what nobody uses, for what it needs itself.
 struct CardMemory {
     struct Request {
         size_t bytes;

@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
@@ -59,8 +60,9 @@ std::optional<std::string> KernelCache::find(const std::string &key) const {
 
 void KernelCache::put(const std::string &key, const std::string &content) const {
     make_folders(folder_);
-    // Under a name of this process first, so that others see it whole or not at all.
-    const std::string fresh = path(key) + "." + std::to_string(getpid());
+    // Under a name of its own first, so that others see it whole or not at all.
+    static std::atomic<unsigned> number{0};
+    const std::string fresh = path(key) + "." + std::to_string(getpid()) + "." + std::to_string(number++);
     {
         std::ofstream file(fresh, std::ios::binary);
         file << sha256(content) << content;

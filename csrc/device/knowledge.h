@@ -1,4 +1,4 @@
-// What of a scene a kernel has to know when it is compiled: nothing; its shapes; the models of what it has; also
+// What of a scene a kernel knows when it is compiled: nothing; its shapes; the models of what it has; also
 // whether its paths are recorded, and for what; and of its BSDFs the one that the kernel shades, or whose derivatives
 // it takes.
 #pragma once

@@ -196,7 +196,7 @@ struct StartBranches {
 template <class S>
 struct FinishBranches {
     static constexpr const char *Name = TR_KERNEL_NAME(FinishBranches), *Header = "device/medium_kernels.h";
-    static constexpr Knowledge Knows = Knowledge::Scene;  // as all that are compiled from this header
+    static constexpr Knowledge Knows = Knowledge::Scene;  // as what it is compiled with
     SpectrumColumn<S> radiance, branch;
 
     TR_HD void operator()(uint32_t i) const {

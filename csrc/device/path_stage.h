@@ -35,7 +35,7 @@ struct PathStage {
     // of a derivative: what it asks for, the level of the tape that vertices are on, see PathContext
     GradientNeeds needs{};
     TapeColumns<S> tape{};
-    TR_FACT(bool, records, TR_RECORDS) = false;
+    TR_RECORDED(records) = false;
     bool bsdfs_alone = false;
 
     // Calls f with the context of a path.

@@ -97,8 +97,7 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     define("PHASE_KINDS", std::to_string(all && volumetric ? phases : 0) + "u");
     number("VOLUMETRIC", all && volumetric), number("CHROMATIC", all && volumetric && chromatic);
     number("LIGHT_PATHS", all && light_paths);
-    const bool paths = knows_paths(knowledge);  // others find out when they run
-    number("RECORDS", !paths || records), number("MOTION", !paths || motion);
+    if (knows_paths(knowledge)) number("RECORDS", records), number("MOTION", motion);
     number("DERIVATIVES", knowledge == Knowledge::Derivative);
     number("FORWARD", knowledge == Knowledge::Derivative && forward);
     number("FIXED_SUMS", knowledge == Knowledge::Derivative && fixed_sums);

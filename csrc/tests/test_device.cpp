@@ -477,6 +477,34 @@ TR_TEST(memory_of_cards_may_be_anothers) {
     CHECK(taken == 0);
 }
 
+TR_TEST(drivers_that_lack_memory_for_a_launch_are_given_some) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    fake = {};
+    const cuda::Api api = fake_api();
+    const TemporaryFolder folder;
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
+    static bool some;
+    cuda::CardMemory memory;
+    memory.serve = [](cuda::CardMemory::Request *request) {
+        request->served = 1;
+        if (request->memory)
+            std::free(request->memory);
+        else if (request->bytes != 0)
+            request->memory = std::malloc(request->bytes);
+        else if (some)
+            fake.launch = 0;
+    };
+    const auto device = cuda::make_launcher(api, compiler, 0, memory);
+    DeviceArray<float> array(*device, 10);
+    some = true, fake.launch = cuda::OutOfMemory;
+    device->run(AddOne{array.get()}, 10), device->synchronize();
+    CHECK(fake.launch == 0);
+    some = false, fake.launch = cuda::OutOfMemory;
+    CHECK_THROWS(device->run(AddOne{array.get()}, 10), std::bad_alloc, "");
+    fake.launch = 0;
+}
+
 TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {
     SceneFacts plain, curved;
     plain.shape_flags = HasNormals, curved.shape_flags = HasNormals | IsSphere;

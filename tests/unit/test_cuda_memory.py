@@ -43,6 +43,7 @@ def asked(monkeypatch):
 
     monkeypatch.setattr(torch.cuda, "caching_allocator_alloc", alloc)
     monkeypatch.setattr(torch.cuda, "caching_allocator_delete", delete)
+    monkeypatch.setattr(torch.cuda, "empty_cache", lambda: found.calls.append("empty"))
     monkeypatch.setattr(devices, "_with_memory", {"scalar"})
     return found
 
@@ -55,7 +56,10 @@ def test_memory_is_taken_and_given_back(serve, asked):
     giving = Request(0, 1, 77, PLACE, 0)
     serve(giving)
     assert giving.served == 1
-    assert asked.calls == [(1000, 1, 77), (1000, 0, 0), PLACE]
+    room = Request(0, 1, 77, None, 0)  # for the driver
+    serve(room)
+    assert (room.memory, room.served) == (None, 1)
+    assert asked.calls == [(1000, 1, 77), (1000, 0, 0), PLACE, "empty"]
     devices.raise_error_of_memory()
 
 

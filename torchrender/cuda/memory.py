@@ -14,7 +14,10 @@ from ..library import Library
 
 
 class Request(ctypes.Structure):
-    """CardMemory::Request: so many bytes for work on this stream; or, with an address, what is given back."""
+    """CardMemory::Request: so many bytes for work on this stream; or, with an address, what is given back.
+
+    No bytes: the driver has no room itself, where PyTorch may keep some that nobody uses.
+    """
 
     _fields_ = (
         ("size", ctypes.c_size_t),
@@ -35,6 +38,8 @@ def _serve(given: Any) -> None:
         request = given.contents
         if request.memory:
             torch.cuda.caching_allocator_delete(request.memory)
+        elif not request.size:
+            torch.cuda.empty_cache()
         else:
             request.memory = torch.cuda.caching_allocator_alloc(request.size, request.ordinal, request.stream or 0)
         request.served = 1

@@ -12,7 +12,13 @@
 #else
 #define TR_FACT(type, name, value) type name
 #endif
-#if defined(TR_ONE_SCENE) && !TR_RECORDS
+// What paths keep. Kernels that do not know find out when they run, and are the same for all paths of a scene.
+#if defined(TR_RECORDS)
+#define TR_RECORDED(name) TR_FACT(bool, name, TR_RECORDS)
+#else
+#define TR_RECORDED(name) bool name
+#endif
+#if defined(TR_RECORDS) && !TR_RECORDS
 #define TR_TAPE(type, name) TR_FACT(type, name, nullptr)
 #else
 #define TR_TAPE(type, name) type name
@@ -30,7 +36,7 @@
 #define TR_OF_DERIVATIVES(p) p
 #endif
 
-#if defined(TR_ONE_SCENE) && !TR_MOTION
+#if defined(TR_MOTION) && !TR_MOTION
 #define TR_MOVES(name) TR_FACT(bool, name, false)
 #else
 #define TR_MOVES(name) bool name
