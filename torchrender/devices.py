@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from .library import Library
 
 CHOICES = ("cpu", "emulated")  # and cards
-RENDERS = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp", "find_outlines", "boundary")
-FUNCTIONS = ("ray_intersect", "ray_occluded", *RENDERS)
-"""What other devices have; of `RENDERS` a part, see render_devices.py."""
+IMAGES = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp", "find_outlines", "boundary")
+FUNCTIONS = ("ray_intersect", "ray_occluded", *IMAGES)
+"""What other devices have; of `IMAGES`, which are pictures and their derivatives, a part, see render_devices.py."""
 
 _WHAT = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 

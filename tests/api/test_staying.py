@@ -236,7 +236,8 @@ def test_what_is_copied_for_edges_that_move(there):
     outputs = tr.render(there, outputs=("albedo", "uv"), visibility=True, **SETTINGS)
     (outputs.albedo.sum() + outputs.uv.sum()).backward()
     assert there.statistics["visibility_outputs"]["outputs"]["rays"] > 0
-    assert (FROM, TEXELS) not in card.transfers
+    large = {t for t in card.transfers if torch.Size(t[1]).numel() > 64}
+    assert large <= {(FROM, (6, 8, 3)), (FROM, (6, 8, 2)), (TO, (6, 8, 3)), (TO, (6, 8, 2)), (TO, (36, 3))}, large
 
 
 def test_edges_that_move(device):

@@ -127,6 +127,34 @@ def test_kernels_that_are_there_need_no_compiler(nvrtc, tmp_path):
         tr.render(scene, spp=1)
 
 
+@pytest.mark.parametrize("integrator", ["path", "ptracer", "volpath"])
+def test_kernels_of_edges_that_are_there_need_no_compiler(nvrtc, tmp_path, integrator):
+    """Also of few edges and of many, which look first how much each part brings."""
+    given = small_scene.ball_and_wall(integrator={"type": integrator, "max_depth": 4})
+    given["sensor"]["film"]["rfilter"] = {"type": "gaussian"}
+    scene = tr.load_dict(given)
+    compile_kernels(scene, 90, tmp_path, outputs=integrator != "ptracer", forward=True)
+    nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
+    nvrtc.setenv("TORCHRENDER_KERNELS", str(tmp_path))
+    nvrtc.setenv("TORCHRENDER_CACHE", str(tmp_path / "cache"))
+    nvrtc.setattr(devices, "_with_compiler", set())
+    scene.train_only("ball.to_world")
+    outputs = ("rgb",) if integrator == "ptracer" else ("rgb", "depth")
+    matrix = scene.get_parameter("ball.to_world").detach()
+
+    def shown(matrix: torch.Tensor, samples: int) -> torch.Tensor:
+        settings = {"params": {"ball.to_world": matrix}, "outputs": outputs, "spp": 1, "spp_grad": samples}
+        return torch.stack([x.sum() for x in tr.render(scene, **settings)])
+
+    with devices.chosen("sm_90"):
+        for samples in (1, 4096):
+            torch.func.vjp(lambda m, n=samples: shown(m, n), matrix)[1](torch.ones(len(outputs)))
+            torch.func.jvp(lambda m, n=samples: shown(m, n), (matrix,), (matrix,))
+        assert {"visibility"} <= set(scene.statistics)
+    if integrator == "path":
+        assert {"TakeOutlines", "WeighSights", "WeighEdges", "WeighOutlines"} <= set(kernels(tmp_path))
+
+
 def test_cards_without_kernels_of_their_own_take_ptx_of_older_ones(nvrtc, tmp_path):
     scene = tr.load_dict(small_scene.ball_and_wall())
     assert compile_kernels(scene, 80, tmp_path, ptx=True, edges=False) > 10

@@ -15,6 +15,9 @@ from ..render import render
 from ..scene.scene import Scene
 from .check import deterministic_algorithms, train_all
 
+ENOUGH = 1 << 18
+"""Samples of a derivative with which those of edges are shared out, which a few do not pay for: see visibility."""
+
 
 def compile_kernels(
     scene: Scene,
@@ -66,9 +69,11 @@ def kernels_in(folder: Path) -> int:
 
 def _launch(scene: Scene, outputs: tuple[str, ...], forward: bool, deterministic: bool, edges: bool) -> None:
     """Calls that launch everything."""
+    _, _, height, width = scene.film.window if scene.film is not None else (0, 0, 1, 1)
+    samples = -(-ENOUGH // (height * width))
 
     def total(**settings: Any) -> torch.Tensor:
-        found = render(scene, spp=1, seed=0, outputs=outputs, visibility=edges, **settings)
+        found = render(scene, spp=1, spp_grad=samples, seed=0, outputs=outputs, visibility=edges, **settings)
         return torch.stack([x.sum() for x in found if x.is_floating_point()]).sum()
 
     rays = torch.zeros(1, 3), torch.ones(1, 3)

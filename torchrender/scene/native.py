@@ -13,7 +13,7 @@ import torch
 from .. import backends
 from ..devices import (
     FUNCTIONS,
-    RENDERS,
+    IMAGES,
     address,
     device,
     holds,
@@ -104,7 +104,7 @@ class NativeScene:
         if function not in FUNCTIONS:
             require_cpu(function, self.device())
         with self.lock:
-            computing = self.device() if function in RENDERS else "cpu"
+            computing = self.device() if function in IMAGES else "cpu"
             there, alone = self._there(computing, params)
             if there:
                 params = [t if t.is_cpu or a else numbers_on_host(t) for t, a in zip(params, alone, strict=True)]
