@@ -77,6 +77,12 @@ def test_media(device, name):
     check(device, in_media(name), POSITIONS, "view.to_world", parts=1, counted=False, integrator=integrator)
 
 
+@pytest.mark.parametrize("name", ["nested", "frosted"])
+def test_media_with_hidden_lights(device, name):
+    integrator = tr.VolumetricPathTracer(max_depth=4, hide_emitters=True)
+    check(device, in_media(name), POSITIONS, "view.to_world", parts=1, counted=False, integrator=integrator)
+
+
 def test_outputs_beside_media(device):
     scene, integrator = in_media("cloud"), tr.VolumetricPathTracer(max_depth=4)
     given = {"parts": 1, "counted": False, "outputs": ("depth", "albedo"), "integrator": integrator}
@@ -91,6 +97,43 @@ LIGHT_PATHS = {"integrator": tr.ParticleTracer(max_depth=4), "spp": 4}
 def test_light_paths(device, light):
     scene = scene_of(ball=crumpled_ball(SINGLE, light == "sky"), light=LIGHTS[light])
     check(device, scene, POSITIONS, "camera.to_world", **LIGHT_PATHS)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"crop": (4, 3, 9, 11), "passes": 2},
+        {"spp_visibility": (3, 1)},
+        {"integrator": tr.ParticleTracer(max_depth=4, hide_emitters=True)},
+        {"integrator": tr.ParticleTracer(rr_depth=3)},
+        {"integrator": tr.ParticleTracer(max_depth=2)},
+    ],
+    ids=["crop", "samples", "hidden lights", "any depth", "depth 2"],
+)
+def test_settings_of_light_paths(device, settings):
+    scene = scene_of(ball=crumpled_ball(SINGLE), lamp=LIGHTS["lamp"], bulb=LIGHTS["bulb"])
+    check(device, scene, POSITIONS, "bulb.to_world", **{**LIGHT_PATHS, "counted": False, **settings})
+
+
+@pytest.mark.parametrize("what", ["media", "light paths", "outputs"])
+def test_deterministic_algorithms(device, what, request):
+    """Sums are the same bits twice, and the CPU's but for their order."""
+    ball = crumpled_ball(SINGLE)
+    scene = in_media("cloud") if what == "media" else scene_of(ball=ball, lamp=LIGHTS["lamp"])
+    given: dict[str, Any] = {
+        "media": {"integrator": tr.VolumetricPathTracer(max_depth=4), "parts": 1, "counted": False},
+        "light paths": LIGHT_PATHS,
+        "outputs": {"outputs": OUTPUTS, "parts": 1},
+    }[what]
+    request.addfinalizer(lambda: torch.use_deterministic_algorithms(False))
+    torch.use_deterministic_algorithms(True)
+    check(device, scene, POSITIONS, **given)
+    settings = {name: value for name, value in given.items() if name not in ("parts", "counted")}
+    found = []
+    for _ in range(2):
+        (seen, *_rest) = tr.render(scene, **{"spp": 2, "seed": 3, "outputs": ("rgb",), **settings})
+        found.append(torch.autograd.grad(seen[seen.isfinite()].square().sum(), scene.get_parameter(POSITIONS))[0])
+    assert torch.equal(*found) and bool(found[0].any())
 
 
 def test_light_paths_in_double_precision(device):

@@ -1,7 +1,7 @@
 """Kernels as cards get them, compiled for scenes whose facts are constants in them: what they compute is the CPU's.
 
-Tests of the emulated device, whose kernels are for all scenes, run on a card that is the host (helpers/host_card.py), by
-the launcher of cards. Some of them here; all with the variable TORCHRENDER_HOST_CARD, see there.
+Tests of the emulated device, whose kernels are for all scenes, run on a card that is the host (helpers/host_card.py),
+by the launcher of cards. Some of them here; all with the variable TORCHRENDER_HOST_CARD, see there.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ DRIVER, COMPILER = "libcuda.so.1", "libnvrtc.so.12"
 
 
 def build(folder: Path) -> None:
-    """Make its driver and its compiler, which are one library. RuntimeError where there is no compiler of the host's."""
+    """Make its driver and its compiler, which are one library. RuntimeError where the host has no compiler."""
     compiler = shutil.which("c++")
     if compiler is None:
         raise RuntimeError("there is no c++, which makes a card of the host")
