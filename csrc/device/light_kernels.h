@@ -11,7 +11,7 @@ namespace tr {
 template <class S>
 struct StartLightPaths {
     static constexpr const char *Name = TR_KERNEL_NAME(StartLightPaths), *Header = "device/light_kernels.h";
-    static constexpr Knowledge Knows = Knowledge::Scene;
+    static constexpr Knowledge Knows = Knowledge::Paths;
     PathStage<S> stage;
     LightView<S> view;
     PathQueue<S> out;
