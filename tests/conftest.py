@@ -41,7 +41,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 # Modules with tests of many seconds: they come first, so that no process is left with one at the end.
-LONG = ("test_endurance", "test_tutorial")
+LONG = ("test_endurance", "test_host_card", "test_tutorial")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
