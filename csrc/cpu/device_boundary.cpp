@@ -12,12 +12,12 @@ namespace {
 
 template <class S>
 void check(const RenderCall<S> &call, const BoundaryCall<S> &boundary) {
-    const bool of_camera = boundary.part == BoundaryPart::Silhouettes || boundary.part == BoundaryPart::Outputs;
-    const char *missing = call.config.stokes                     ? "polarised light"
-                          : call.config.spectral.positions       ? "wavelengths"
-                          : call.scene->bends                    ? "media that light bends in"
-                          : call.config.volumetric && !of_camera ? "what vertices and lights see in media"
-                                                                 : nullptr;
+    const bool elsewhere = !is_of_camera(boundary.part);
+    const char *missing = call.config.stokes                    ? "polarised light"
+                          : call.config.spectral.positions      ? "wavelengths"
+                          : call.scene->bends                   ? "media that light bends in"
+                          : call.config.volumetric && elsewhere ? "what vertices and lights see in media"
+                                                                : nullptr;
     if (missing) throw std::invalid_argument(std::string("device: there are no derivatives of outlines of ") + missing);
     if (boundary.weighs && boundary.part == BoundaryPart::Outputs)
         throw std::invalid_argument("device: there are no weights of outputs besides radiance");

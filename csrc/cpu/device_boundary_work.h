@@ -7,6 +7,10 @@
 
 namespace tr {
 
+constexpr bool is_of_camera(BoundaryPart part) {
+    return part == BoundaryPart::Silhouettes || part == BoundaryPart::Outputs;
+}
+
 template <class S>
 struct DeviceBoundary<S>::Work {
     std::unique_ptr<const LightPathCall<S>> light_path;  // to whose call and scene all else refers
@@ -24,7 +28,7 @@ struct DeviceBoundary<S>::Work {
     std::vector<double> place, value;  // what was told of all samples so far
 
     const BoundaryPart &part() const { return boundary.part; }
-    bool of_camera() const { return part() == BoundaryPart::Silhouettes || part() == BoundaryPart::Outputs; }
+    bool of_camera() const { return is_of_camera(part()); }
     bool of_lights() const {
         return part() == BoundaryPart::Shadows || part() == BoundaryPart::Pilot || part() == BoundaryPart::Pieces;
     }

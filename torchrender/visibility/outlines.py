@@ -59,7 +59,7 @@ class Outlines:
         self.boundary, self.film, self.params = boundary, film, list(params)
         self.call = call = boundary.call
         outputs = boundary.outputs
-        settings = {} if outputs is None else outputs.settings() | {"of_outputs": True}
+        settings = {} if outputs is None else outputs.settings()
         self.names = {} if outputs is None else dict.fromkeys(outputs.core_names(), 1)
         settings |= {"threads": threads, "fixed_sums": torch.are_deterministic_algorithms_enabled()}
         self.configs = [{**c, **settings} for c in call.configs(derivative=True)]
